@@ -1,0 +1,1 @@
+"""The ggx_gamma BSDF."""

@@ -1,0 +1,1 @@
+"""Files out: glTF, OBJ, USD."""

@@ -1,0 +1,1 @@
+"""Losses, regularisers, schedules and the optimisation loop."""

@@ -1,0 +1,1 @@
+"""The first guess: clean up, decimate, unwrap, bake."""

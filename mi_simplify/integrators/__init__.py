@@ -1,0 +1,1 @@
+"""The direct_edge integrator: shading, edges and boundary samples."""

@@ -1,0 +1,106 @@
+"""
+The small textured mesh in plain NumPy: what the first guess makes, the fit improves, the export writes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..scenes.asset import Asset, Instance, Material, Part
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """
+    Welded triangle mesh whose UV seams split texture coordinates, never positions.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (P, 3), float64
+        Welded positions; what is optimised.
+    position_index : ndarray, shape (V,), int64
+        Position of each vertex; several vertices share one along a UV seam.
+    uvs : ndarray, shape (V, 2), float32
+        Texture coordinates in [0, 1], origin top left, without overlap.
+    faces : ndarray, shape (F, 3), int64
+        Counter-clockwise *vertex* indices; ``position_index[faces]`` is the welded topology.
+    """
+
+    positions: np.ndarray
+    position_index: np.ndarray
+    uvs: np.ndarray
+    faces: np.ndarray
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """Positions per vertex, shape (V, 3)."""
+        return self.positions[self.position_index]
+
+    @property
+    def position_faces(self) -> np.ndarray:
+        """Faces over welded positions, shape (F, 3)."""
+        return self.position_index[self.faces]
+
+
+@dataclass(frozen=True)
+class Model:
+    """
+    Mesh and PBR textures of one material.
+
+    Parameters
+    ----------
+    base_color : ndarray, shape (H, W, 4), float32
+        Linear RGB and opacity.
+    specular : ndarray, shape (H, W, 3), float32
+        (gamma, roughness, metallic), linear.
+    normal : ndarray, shape (H, W, 3), float32
+        Unit vectors in MikkTSpace tangent space, +Y up the image.
+    alpha_mode : {'OPAQUE', 'MASK', 'BLEND'}
+        As in glTF.
+    """
+
+    mesh: Mesh
+    base_color: np.ndarray
+    specular: np.ndarray
+    normal: np.ndarray
+    alpha_mode: str = "OPAQUE"
+    alpha_cutoff: float = 0.5
+    name: str = "model"
+
+    @property
+    def n_triangles(self) -> int:
+        """Number of triangles."""
+        return len(self.mesh.faces)
+
+    @property
+    def material(self) -> Material:
+        """The textures as a material of the scenes stage."""
+        return Material(
+            self.name, self.base_color, self.specular, self.normal, self.alpha_mode, self.alpha_cutoff
+        )
+
+    def transformed(self, scale: float, offset: np.ndarray) -> Model:
+        """
+        The model with positions ``p * scale + offset`` (uniform scale, so textures stay valid).
+        """
+        mesh = replace(self.mesh, positions=self.mesh.positions * scale + np.asarray(offset))
+        return replace(self, mesh=mesh)
+
+    def as_asset(self) -> Asset:
+        """
+        The model as an asset of one part, with the normals that the export writes.
+        """
+        from .topology import vertex_normals
+
+        normals = vertex_normals(self.mesh.positions, self.mesh.position_faces)
+        part = Part(
+            vertices=self.mesh.vertices,
+            faces=self.mesh.faces,
+            normals=normals[self.mesh.position_index].astype(np.float32),
+            uvs=self.mesh.uvs,
+            material=self.material,
+            name=self.name,
+        )
+        return Asset((part,), (Instance(0, name=self.name),), name=self.name)

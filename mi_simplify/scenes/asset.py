@@ -1,0 +1,140 @@
+"""
+A model as it came from a file, in plain NumPy: parts with materials, placed by instances.
+
+Conventions (docs/conventions.md), translated once by the readers and writers at the file boundary:
+right-handed, +Y up, counter-clockwise front faces; UV origin at the *top left* of the image
+(v = 0 is row 0, as in glTF and Mitsuba bitmaps; OBJ and USD are flipped when read); textures
+linear in memory; normal maps unit vectors in tangent space, +Y up the image (OpenGL).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Material:
+    """
+    A metallic-roughness material; every texture is an image, ``(1, 1, C)`` where constant.
+
+    Parameters
+    ----------
+    base_color : ndarray, shape (H, W, 4), float32
+        Linear RGB and opacity in [0, 1].
+    specular : ndarray, shape (H, W, 3), float32
+        (gamma, roughness, metallic) in [0, 1], linear; gamma = 0 leaves the specular lobe as it is.
+    normal : ndarray, shape (H, W, 3), float32, or None
+        Tangent-space unit vectors in [-1, 1]; None for no map.
+    alpha_mode : {'OPAQUE', 'MASK', 'BLEND'}
+        As in glTF. OPAQUE ignores the opacity channel.
+    alpha_cutoff : float
+        Opacity threshold of MASK.
+    """
+
+    name: str = "default"
+    base_color: np.ndarray = field(default_factory=lambda: np.float32([[[0.5, 0.5, 0.5, 1.0]]]))
+    specular: np.ndarray = field(default_factory=lambda: np.float32([[[0.0, 0.5, 0.0]]]))
+    normal: np.ndarray | None = None
+    alpha_mode: str = "OPAQUE"
+    alpha_cutoff: float = 0.5
+
+
+@dataclass(frozen=True)
+class Part:
+    """
+    An indexed triangle mesh with one material, in its own frame.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (V, 3), float64
+        Positions [units of the file].
+    faces : ndarray, shape (F, 3), int64
+        Counter-clockwise vertex indices.
+    normals : ndarray, shape (V, 3), float32, or None
+        Unit shading normals of the file; None means angle-weighted normals over welded positions.
+    uvs : ndarray, shape (V, 2), float32, or None
+        Texture coordinates, origin top left, any range (textures repeat).
+    colors : ndarray, shape (V, 4), float32, or None
+        Linear vertex colours and opacity, multiplied onto the base colour.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray | None = None
+    uvs: np.ndarray | None = None
+    colors: np.ndarray | None = None
+    material: Material = field(default_factory=Material)
+    name: str = "part"
+
+
+@dataclass(frozen=True)
+class Instance:
+    """
+    One placement of a part.
+
+    Parameters
+    ----------
+    part : int
+        Index into ``Asset.parts``.
+    to_world : ndarray, shape (4, 4), float64
+        Affine transform, column vectors; may mirror.
+    """
+
+    part: int
+    to_world: np.ndarray = field(default_factory=lambda: np.eye(4))
+    name: str = "instance"
+
+
+@dataclass(frozen=True)
+class Asset:
+    """
+    Everything that was read from one file: parts, and where each of them stands.
+    """
+
+    parts: tuple[Part, ...]
+    instances: tuple[Instance, ...]
+    name: str = "asset"
+    source: str = ""
+    notes: tuple[str, ...] = ()
+    """What the reader left out or repaired, one line each, for the log and the report."""
+
+    @property
+    def n_triangles(self) -> int:
+        """Triangles of the scene, instances counted each."""
+        return sum(len(self.parts[i.part].faces) for i in self.instances)
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Axis-aligned box over referenced vertices, shape (2, 3), world units."""
+        points = [
+            self.parts[i.part].vertices[np.unique(self.parts[i.part].faces)] @ i.to_world[:3, :3].T + i.to_world[:3, 3]
+            for i in self.instances
+        ]
+        return np.stack([np.min([p.min(0) for p in points], 0), np.max([p.max(0) for p in points], 0)])
+
+    def placed(self) -> list[Part]:
+        """
+        One part per instance with positions and normals in world space; mirrored ones are rewound.
+        """
+        out = []
+        for inst in self.instances:
+            part = self.parts[inst.part]
+            linear = inst.to_world[:3, :3]
+            normals = part.normals
+            if normals is not None:
+                normals = normals @ np.linalg.inv(linear)
+                normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+                normals = normals.astype(np.float32)
+            faces = part.faces[:, ::-1] if np.linalg.det(linear) < 0 else part.faces
+            vertices = part.vertices @ linear.T + inst.to_world[:3, 3]
+            out.append(replace(part, vertices=vertices, faces=faces, normals=normals, name=inst.name))
+        return out
+
+    def transformed(self, to_world: np.ndarray) -> Asset:
+        """
+        The asset with an affine transform, shape (4, 4), put in front of every instance.
+        """
+        moved = tuple(replace(i, to_world=to_world @ i.to_world) for i in self.instances)
+        return replace(self, instances=moved)
