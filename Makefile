@@ -1,0 +1,54 @@
+# The whole vocabulary: install, demo, test, slow, lint, format, docs, clean (see CONTRIBUTING.md).
+# PYTHON=/path/to/python3.12 chooses the interpreter that .venv is made from.
+
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
+	if $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$p; exit; fi; done; echo python3)
+VENV := .venv
+BIN := $(VENV)/bin
+OUT ?= out/demo
+ARGS ?=
+
+.PHONY: install demo test slow lint format docs clean
+.DEFAULT_GOAL := install
+
+install: $(VENV)/.installed
+
+# Stamps make every target cheap to repeat: a changed pyproject.toml installs again, nothing else does.
+$(VENV)/.created:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo "error: mi_simplify needs Python 3.11 or newer, but '$(PYTHON)' is $$($(PYTHON) --version 2>&1 | head -n 1);" \
+			"name another one: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || { \
+		echo "error: '$(PYTHON) -m venv' failed; this Python lacks venv or ensurepip (see above)," \
+			"name another one: make PYTHON=/path/to/python3.11" >&2; rm -rf $(VENV); exit 1; }
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.created pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	@touch $@
+
+demo: install
+	$(BIN)/mi-simplify run scenes/demo.yaml -o $(OUT) --overwrite $(ARGS)
+
+test: install
+	$(BIN)/python -m pytest -m "not slow" $(ARGS)
+
+slow: install
+	$(BIN)/python -m pytest -m slow $(ARGS)
+
+lint: install
+	$(BIN)/ruff check .
+
+format: install
+	$(BIN)/ruff check --fix .
+
+docs: $(VENV)/.docs
+	$(BIN)/mi-simplify config-schema > docs/config.md
+	$(BIN)/mkdocs build --quiet --strict
+
+clean:
+	rm -rf $(VENV) build dist site out
