@@ -1,0 +1,76 @@
+"""
+What is wrong with a configuration, in one line: the dotted path, what was expected, the nearest key.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from .schema import Config
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """
+    The hint at a likely misspelling, or nothing.
+    """
+    match = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return f", did you mean '{match[0]}'?" if match else ""
+
+
+def dotted_keys(model: type[BaseModel] = Config, prefix: str = "") -> Iterator[str]:
+    """
+    Every key of the schema, sections left out, in order.
+    """
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            yield from dotted_keys(field.annotation, f"{prefix}{name}.")
+        else:
+            yield prefix + name
+
+
+def _unknown_key(location: tuple[str, ...]) -> str:
+    """The sentence for a key that the schema lacks, with the nearest one that it has."""
+    model: type[BaseModel] = Config
+    for section in location[:-1]:
+        model = model.model_fields[section].annotation  # type: ignore[assignment]
+    name = location[-1]
+    hint = nearest(name, model.model_fields)
+    if not hint:  # perhaps right but in another section
+        elsewhere = {key.rpartition(".")[2]: key for key in dotted_keys()}
+        match = difflib.get_close_matches(name, list(elsewhere), n=1, cutoff=0.6)
+        hint = f", did you mean '{elsewhere[match[0]]}'?" if match else f"; known here: {', '.join(model.model_fields)}"
+    return f"{'.'.join(location)}: unknown key{hint}"
+
+
+def describe(error: ValidationError) -> str:
+    """
+    One line for all problems that pydantic found, at most three of them spelled out.
+    """
+    lines = []
+    for problem in error.errors():
+        location = tuple(str(part) for part in problem["loc"])
+        path = ".".join(location) or "configuration"
+        kind, given = problem["type"], problem["input"]
+        if kind == "extra_forbidden":
+            lines.append(_unknown_key(location))
+        elif kind == "missing":
+            lines.append(f"{path}: missing, it has no default")
+        elif kind in ("model_type", "model_attributes_type"):
+            lines.append(f"{path}: is a section, expected keys below it, got {given!r}")
+        elif kind == "value_error":
+            lines.append(f"{path}: {problem['ctx']['error']}")
+        else:
+            expected = re.sub(r"^\w+ should", "should", problem["msg"]).removesuffix(" after validation, not 0")
+            lines.append(f"{path}: {expected}, got {_shown(given)}")
+    more = f"; and {len(lines) - 3} more" if len(lines) > 3 else ""
+    return "; ".join(lines[:3]) + more
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,198 @@
+"""
+Every setting with its type, range, default and meaning: one frozen model per section of the YAML.
+
+The defaults stand here and nowhere else. Lengths are in the normalised frame (the asset's box has
+side 2 and centre 0), angles in degrees, colours linear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+
+@dataclass(frozen=True)
+class PathMark:
+    """
+    Marks a key that names a file; a relative one is resolved against the file that holds the key.
+    """
+
+
+def _as_list(value: Any) -> Any:
+    """A single value stands for a list of one."""
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
+def _distinct(value: tuple) -> tuple:
+    if len(set(value)) != len(value):
+        raise ValueError("should name nothing twice")
+    return value
+
+
+FilePath = Annotated[str, Field(min_length=1), PathMark()]
+Resolutions = Annotated[tuple[Annotated[int, Field(ge=8, le=8192)], ...], BeforeValidator(_as_list)]
+Quantity = Literal["vertices", "base_color", "opacity", "gamma", "roughness", "metallic", "normal"]
+Quantities = Annotated[tuple[Quantity, ...], BeforeValidator(_as_list), AfterValidator(_distinct)]
+Formats = Annotated[tuple[Literal["glb", "obj", "usd"], ...], BeforeValidator(_as_list), AfterValidator(_distinct)]
+
+
+class Section(BaseModel):
+    """
+    Frozen, strict about types, and without unknown keys.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Reference(Section):
+    """How the target images are rendered."""
+
+    transport: Literal["direct", "baked", "matched"] = Field(
+        "direct",
+        description="`direct`: direct light without shadows on both sides, materials stay clean. `baked`: full path "
+        "tracing, shadows and indirect light end up in the textures. `matched`: full path tracing, the part that the "
+        "fit cannot render added as a constant.",
+    )
+    spp: int = Field(32, ge=1, le=65536, description="Samples per pixel of a reference image.")
+    max_depth: int = Field(6, ge=2, le=1024, description="Longest light path, in edges; only path tracing reads it.")
+    pool: int = Field(128, ge=1, description="Rendered views held ready; a step draws its batch from them.")
+    refresh: int = Field(4, ge=0, description="Views of the pool rendered anew per step; 0 keeps the first ones.")
+    environment: FilePath | None = Field(None, description="Environment map (EXR or HDR) besides the point light.")
+
+
+class Initial(Section):
+    """The first guess."""
+
+    kind: Literal["decimate", "sphere", "mesh"] = Field(
+        "decimate", description="Decimate the asset, start from a sphere, or take the mesh of a file."
+    )
+    triangles: int = Field(3000, ge=4, description="Triangle budget of the result.")
+    mesh: FilePath | None = Field(None, description="Mesh file to start from; only with `kind: mesh`.")
+    atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
+    textures: Literal["bake", "constant", "random"] = Field(
+        "bake", description="Sample them from the asset, fill them with its mean, or with noise."
+    )
+
+    @model_validator(mode="after")
+    def _mesh_is_named(self) -> Initial:
+        if (self.kind == "mesh") != (self.mesh is not None):
+            raise ValueError("`kind: mesh` and `mesh: FILE` go together, only one of them is set")
+        return self
+
+
+class Latent(Section):
+    """What is optimised, and how it is shaded."""
+
+    optimize: Quantities = Field(
+        ("vertices", "base_color", "roughness", "metallic", "normal"), description="Quantities that the fit changes."
+    )
+    min_roughness: float = Field(0.08, ge=0.01, le=1.0, description="Lower limit of roughness.")
+    shading: Literal["gltf", "paper"] = Field(
+        "gltf", description="`gltf`: as glTF viewers shade. `paper`: Lambert plus specular, without energy exchange."
+    )
+
+
+class Light(Section):
+    """The one point light of a view."""
+
+    distance: float = Field(3.5, gt=0, description="Distance from the centre.")
+    exponent: float = Field(1.0, ge=0, description="Directions follow cos^exponent around the camera's; 0: evenly.")
+    intensity: float = Field(30.0, gt=0, description="Radiant intensity [W/sr] per channel.")
+
+
+class Views(Section):
+    """Random cameras and lights."""
+
+    distance: float = Field(3.5, gt=0, description="Camera distance from the centre.")
+    jitter: float = Field(0.25, ge=0, description="The distance varies evenly by up to this much, either way.")
+    fov: float = Field(45.0, gt=0, lt=180, description="Field of view [degrees].")
+    light: Light = Light()
+    background: Literal["random", "black"] = Field(
+        "random", description="`random`: one random colour per pixel, the same behind both images."
+    )
+
+
+class Rates(Section):
+    """Learning rates at the start."""
+
+    vertices: float = Field(0.0015, ge=0, description="Vertex positions.")
+    base_color: float = Field(0.01, ge=0, description="Base colour and opacity.")
+    specular: float = Field(0.01, ge=0, description="Gamma, roughness and metallic.")
+    normal: float = Field(0.01, ge=0, description="Normal map.")
+
+
+class LargeSteps(Section):
+    """Vertices through the diffusion of Nicolet et al. 2021."""
+
+    enabled: bool = Field(True, description="Precondition vertex gradients by (I + lambda L); off: plain Adam.")
+    lambda_: float = Field(0.3, ge=0, description="Diffusion strength: 0.2 to 0.5 on a decimated mesh, 19 on a sphere.")
+
+
+class Optimizer(Section):
+    """The optimisation loop."""
+
+    steps: int = Field(400, ge=0, description="Number of steps; 0 exports the first guess.")
+    batch: int = Field(4, ge=1, le=1024, description="Views per step.")
+    resolution: Resolutions = Field(
+        (256,), min_length=1, description="Image width and height [px], or a list of them from coarse to fine."
+    )
+    spp: int = Field(4, ge=1, le=65536, description="Samples per pixel of a latent image.")
+    rates: Rates = Rates()
+    decay: float = Field(0.1, gt=0, le=1, description="Factor by which the rates fall over the whole run.")
+    large_steps: LargeSteps = LargeSteps()
+
+
+class Laplacian(Section):
+    """The mesh regulariser."""
+
+    weight: float = Field(0.25, ge=0, description="Share of the image loss at the start; 0: off.")
+    relative: bool = Field(True, description="Penalise the difference to the first guess instead of curvature itself.")
+    decay_to: float = Field(0.02, ge=0, le=1, description="Factor by which the weight falls over the whole run.")
+
+
+class Loss(Section):
+    """What is minimised."""
+
+    image: Literal["log_l1", "l1", "l2", "log_l2", "smape", "relative_l2"] = Field(
+        "log_l1", description="Image loss; `log_l1` compares tone-mapped log(x + 1)."
+    )
+    coverage: float = Field(1.0, ge=0, description="Weight of the coverage (silhouette) term.")
+    laplacian: Laplacian = Laplacian()
+
+
+class Evaluation(Section):
+    """Held-out views: never fitted, rendered for figures and pictures."""
+
+    views: int = Field(8, ge=1, le=1024, description="Number of views.")
+    resolution: int = Field(256, ge=16, le=8192, description="Image width and height [px].")
+    spp: int = Field(64, ge=1, le=65536, description="Samples per pixel.")
+    every: int = Field(50, ge=1, description="Steps between two measurements of PSNR while the fit runs.")
+
+
+class Export(Section):
+    """What is written."""
+
+    formats: Formats = Field(("glb", "obj", "usd"), min_length=1, description="Model files to write.")
+
+
+class Config(Section):
+    """One job: from the asset to the exported model."""
+
+    asset: FilePath = Field(description="Model file, or `sample:NAME` for a procedural one such as `sample:relic`.")
+    preset: Literal["fast", "balanced", "best"] | None = Field(
+        None, description="Overrides that lie between the defaults and everything set here."
+    )
+    seed: int = Field(0, ge=0, lt=2**31, description="Seed of every random number of the run.")
+    variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] | None = Field(
+        None, description="Mitsuba variant; none takes the environment's `MI_SIMPLIFY_VARIANT`, else `llvm_ad_rgb`."
+    )
+    reference: Reference = Reference()
+    initial: Initial = Initial()
+    latent: Latent = Latent()
+    views: Views = Views()
+    optimizer: Optimizer = Optimizer()
+    loss: Loss = Loss()
+    evaluation: Evaluation = Evaluation()
+    export: Export = Export()

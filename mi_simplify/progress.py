@@ -1,0 +1,44 @@
+"""
+How far a job is: the one callback through which every stage reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Progress:
+    """
+    One report of a running stage.
+
+    Parameters
+    ----------
+    stage : str
+        What is being done, in a user's words: ``"load"``, ``"first guess"``, ``"fit"``, ``"evaluate"``.
+    step, n_steps : int
+        ``step`` of ``n_steps`` are done; 0 of 0 where a stage cannot say.
+    loss : float or None
+        Loss of the newest step that was read back.
+    psnr : float or None
+        PSNR on a held-out view [dB], as of the last time it was measured.
+    message : str
+        One line for the log, empty where the numbers say it all.
+    """
+
+    stage: str
+    step: int = 0
+    n_steps: int = 0
+    loss: float | None = None
+    psnr: float | None = None
+    message: str = ""
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+def silent(progress: Progress) -> None:
+    """
+    The callback that shows nothing.
+    """
