@@ -1,0 +1,198 @@
+"""
+The ``ggx_gamma`` BSDF plugin: what the latent model and glTF references are shaded with.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from . import microfacet
+
+
+class GgxGamma(mi.BSDF):
+    r"""
+    Lambert and isotropic GGX with a specular attenuation γ (:monosp:`ggx_gamma`).
+
+    .. pluginparameters::
+
+     * - base_color
+       - |spectrum| or |texture|
+       - Linear reflectance kd. (Default: 0.5)
+     * - gamma, roughness, metallic
+       - |float| or |texture|
+       - Specular attenuation, perceptual roughness (α = roughness²), metalness, linear.
+         (Default: 0, 0.5, 0)
+     * - opacity
+       - |float| or |texture|
+       - Coverage. Anything but 1 adds a null lobe: use an integrator that knows it on shadow
+         rays, such as `volpath`. (Default: 1)
+     * - opacity_cutoff
+       - |float|
+       - Above 0, opacity is compared with it and becomes 0 or 1 (glTF MASK). (Default: 0)
+     * - normal_map
+       - |texture|
+       - Tangent-space normals, red and green mapped from [0, 1] to [-1, 1], +Y up the image. Needs
+         UVs. The bitangent follows mirrored charts.
+     * - mesh_tangents
+       - |bool|
+       - The tangent is the mesh attribute `vertex_tangent` (3 floats, interpolated as in MikkTSpace) instead of ∂p/∂u of the
+         face. (Default: false)
+     * - form
+       - |string|
+       - `gltf` (glTF 2.0 Appendix B mixing) or `paper` (Hasselgren et al. 2021). (Default: gltf)
+
+    Two-sided by the *geometric* normal. A shading normal that faces away from the viewer is
+    turned continuously towards it (`microfacet.face_viewer`), so that the value has no jump inside a face.
+    All parameters are differentiable; the derivative of the opacity is that of the null lobe's weight.
+
+    .. code-block:: python
+
+        mi.load_dict({'type': 'ggx_gamma', 'base_color': {'type': 'rgb', 'value': [.8, .4, .2]}, 'roughness': .3})
+    """
+
+    def __init__(self, props):
+        mi.BSDF.__init__(self, props)
+        self.base_color = props.get_texture("base_color", 0.5)
+        self.gamma = props.get_texture("gamma", 0.0)
+        self.roughness = props.get_texture("roughness", 0.5)
+        self.metallic = props.get_texture("metallic", 0.0)
+        self.opacity = props.get_texture("opacity") if props.has_property("opacity") else None
+        self.opacity_cutoff = props.get("opacity_cutoff", 0.0)
+        self.normal_map = props.get_texture("normal_map") if props.has_property("normal_map") else None
+        self.mesh_tangents = props.get("mesh_tangents", False)
+        self.form = microfacet.check_form(props.get("form", "gltf"))
+        sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide | mi.BSDFFlags.SpatiallyVarying
+        lobes = [mi.BSDFFlags.DiffuseReflection | sides, mi.BSDFFlags.GlossyReflection | sides]
+        if self.opacity is not None:
+            lobes.append(mi.BSDFFlags.Null | sides)
+        self.m_components = lobes
+        self.m_flags = lobes[0]
+        for lobe in lobes[1:]:
+            self.m_flags = self.m_flags | lobe
+
+    def traverse(self, callback):
+        flags = mi.ParamFlags.Differentiable
+        for name in ("base_color", "gamma", "roughness", "metallic", "opacity", "normal_map"):
+            texture = getattr(self, name)
+            if texture is not None:
+                callback.put(name, texture, flags)
+
+    def _opacity(self, si, active):
+        if self.opacity is None:
+            return mi.Float(1)
+        value = self.opacity.eval_1(si, active)
+        return dr.select(value >= self.opacity_cutoff, mi.Float(1), 0) if self.opacity_cutoff > 0 else value
+
+    def shading_frame(self, si, active=True) -> mi.Frame3f:
+        """
+        Frame of the shaded normal in local coordinates: mapped, on the viewer's side, facing it.
+        """
+        n = mi.Normal3f(0, 0, 1)
+        if self.normal_map is not None:
+            texel = self.normal_map.eval_3(si, active)
+            m = mi.Vector3f(texel.x, texel.y, texel.z) * 2 - 1
+            tangent, handedness = self._tangent(si, active)
+            m = m.x * tangent + m.y * (handedness * dr.cross(mi.Vector3f(n), tangent)) + m.z * mi.Vector3f(n)
+            n = mi.Normal3f(m * dr.rsqrt(dr.maximum(dr.squared_norm(m), 1e-12)))
+        back = dr.dot(si.to_world(si.wi), si.n) < 0
+        n = dr.select(back, -n, n)
+        return mi.Frame3f(mi.Normal3f(microfacet.face_viewer(n, si.wi)))
+
+    def _tangent(self, si, active):
+        """
+        Local unit tangent and the sign of the bitangent, +1 where (t, b, n) is right-handed.
+        """
+        # v runs down the image, so a chart that is not mirrored has dp_du x dp_dv against the face.
+        mirrored = dr.dot(dr.cross(si.dp_du, si.dp_dv), si.n) > 0
+        face = si.to_local(si.dp_du)
+        if self.mesh_tangents:
+            face = si.to_local(mi.Vector3f(si.shape.eval_attribute_3("vertex_tangent", si, active)))
+        tangent = mi.Vector3f(face.x, face.y, 0)
+        length = dr.norm(tangent)
+        tangent = dr.select(length > 1e-12, tangent / dr.maximum(length, 1e-12), mi.Vector3f(1, 0, 0))
+        return tangent, dr.select(mirrored, mi.Float(-1), mi.Float(1))
+
+    def _inputs(self, si, active):
+        roughness = dr.maximum(self.roughness.eval_1(si, active), microfacet.MIN_ROUGHNESS)
+        return (
+            mi.Color3f(self.base_color.eval(si, active)),
+            self.gamma.eval_1(si, active),
+            roughness,
+            self.metallic.eval_1(si, active),
+        )
+
+    def _enabled(self, ctx):
+        return ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0), ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 1)
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        active = mi.Bool(active)
+        frame = self.shading_frame(si, active)
+        base_color, gamma, roughness, metallic = self._inputs(si, active)
+        opacity = self._opacity(si, active)
+        value = microfacet.evaluate(base_color, gamma, roughness, metallic, frame.n, si.wi, wo, self.form)
+        pdf = self._pdf(base_color, gamma, roughness, metallic, frame, si.wi, wo)
+        return (
+            dr.select(active, mi.Spectrum(value * opacity), 0),
+            dr.select(active, dr.detach(pdf * opacity), 0),
+        )
+
+    def _pdf(self, base_color, gamma, roughness, metallic, frame, wi, wo):
+        cos_i, cos_o = dr.dot(frame.n, wi), dr.dot(frame.n, wo)
+        h = dr.normalize(wi + wo)
+        alpha2 = dr.square(dr.square(roughness))
+        share = microfacet.specular_share(base_color, gamma, metallic, cos_i)
+        glossy = microfacet.visible_normal_pdf(alpha2, cos_i, dr.dot(frame.n, h), dr.dot(wi, h))
+        return dr.select(cos_o > 0, dr.lerp(cos_o * dr.inv_pi, glossy, share), 0)
+
+    def eval(self, ctx, si, wo, active=True):
+        return self.eval_pdf(ctx, si, wo, active)[0]
+
+    def pdf(self, ctx, si, wo, active=True):
+        return self.eval_pdf(ctx, si, wo, active)[1]
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        active = mi.Bool(active)
+        frame = self.shading_frame(si, active)
+        base_color, gamma, roughness, metallic = self._inputs(si, active)
+        opacity = self._opacity(si, active)
+        wi = frame.to_local(si.wi)
+        share = dr.detach(microfacet.specular_share(base_color, gamma, metallic, wi.z))
+        through = sample1 >= dr.detach(opacity)
+        sample1 = sample1 / dr.maximum(dr.detach(opacity), 1e-6)
+        glossy = sample1 < share
+        h = microfacet.sample_visible_normal(dr.square(dr.detach(roughness)), wi, sample2)
+        reflected = mi.reflect(wi, mi.Normal3f(h))
+        wo = frame.to_world(dr.select(glossy, reflected, mi.warp.square_to_cosine_hemisphere(sample2)))
+        wo = dr.detach(dr.select(through, -si.wi, wo))
+        value, pdf = self.eval_pdf(ctx, si, wo, active)
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo = wo
+        bs.pdf = dr.select(through, 1 - dr.detach(opacity), pdf)
+        bs.eta = 1
+        bs.sampled_component = dr.select(through, mi.UInt32(2), dr.select(glossy, mi.UInt32(1), mi.UInt32(0)))
+        bs.sampled_type = dr.select(
+            through,
+            mi.UInt32(+mi.BSDFFlags.Null),
+            dr.select(glossy, mi.UInt32(+mi.BSDFFlags.GlossyReflection), mi.UInt32(+mi.BSDFFlags.DiffuseReflection)),
+        )
+        # The null lobe's weight is 1 in value; replaced so that its derivative is that of 1 - opacity.
+        null = dr.replace_grad(mi.Float(1), (1 - opacity) / dr.maximum(dr.detach(1 - opacity), 1e-6))
+        weight = dr.select(through, mi.Spectrum(null), value / dr.maximum(pdf, 1e-12))
+        ok = active & (bs.pdf > 0)
+        return bs, dr.select(ok, weight, 0)
+
+    def eval_null_transmission(self, si, active=True):
+        if self.opacity is None:
+            return mi.Spectrum(0)
+        return mi.Spectrum(1 - self._opacity(si, active))
+
+    def eval_diffuse_reflectance(self, si, active=True):
+        base_color, _, _, metallic = self._inputs(si, active)
+        return mi.Spectrum(base_color * (1 - metallic))
+
+    def to_string(self):
+        return f"GgxGamma[form={self.form}, base_color={self.base_color}]"
+
+
+mi.register_bsdf("ggx_gamma", lambda props: GgxGamma(props))

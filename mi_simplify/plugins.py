@@ -1,0 +1,48 @@
+"""
+Registers our Mitsuba plugins with whichever variant is active, now and after every change of it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import mitsuba as mi
+
+from .errors import RuntimeUnavailable
+
+#: Modules that define a plugin class and register it on their last line.
+MODULES = ("mi_simplify.bsdfs.ggx_gamma", "mi_simplify.integrators.direct_edge")
+
+#: Variants in which they work: gradients and RGB.
+VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
+
+
+def _register(_old: str | None, new: str | None) -> None:
+    """
+    Import the plugin modules, again where they were bound to another variant's classes.
+    """
+    if new not in VARIANTS:
+        return
+    for name in MODULES:
+        if name in sys.modules:
+            importlib.reload(sys.modules[name])
+        else:
+            importlib.import_module(name)
+
+
+def install() -> None:
+    """
+    Register the plugins from now on; called once, when the package is imported.
+    """
+    mi.detail.add_variant_callback(_register)
+    if mi.variant() is not None:
+        _register(None, mi.variant())
+
+
+def require_ad_variant() -> None:
+    """
+    Raise where the active variant has no gradients or is not RGB.
+    """
+    if mi.variant() not in VARIANTS:
+        raise RuntimeUnavailable(f"variant '{mi.variant()}' cannot be used: choose one of {', '.join(VARIANTS)}")

@@ -1,0 +1,211 @@
+"""
+Assets as Mitsuba shapes: the one module that knows the names of Mitsuba's mesh parameters.
+
+Mitsuba 3.10 renames all of them (``vertex_positions`` becomes ``positions``, and so on); nothing else in the project
+spells them out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..latent.model import Mesh
+from ..latent.tangents import split_mirrored, vertex_tangents
+from ..latent.topology import vertex_normals, weld
+from .asset import Asset, Material, Part
+
+POSITIONS, FACES, NORMALS, UVS = "vertex_positions", "faces", "vertex_normals", "vertex_texcoords"
+
+
+def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents=None) -> mi.Mesh:
+    """
+    A Mitsuba mesh from arrays.
+
+    Parameters
+    ----------
+    vertices : ndarray, shape (V, 3)
+    faces : ndarray, shape (F, 3)
+    normals, tangents : ndarray, shape (V, 3), optional
+        Tangents become the mesh attribute ``vertex_tangent``.
+    uvs : ndarray, shape (V, 2), optional
+        Origin top left, as Mitsuba's bitmaps have it.
+    bsdf : mi.BSDF, optional
+    """
+    props = mi.Properties()
+    if bsdf is not None:
+        props["bsdf"] = bsdf
+    mesh = mi.Mesh(
+        name, len(vertices), len(faces), props=props,
+        has_vertex_normals=normals is not None, has_vertex_texcoords=uvs is not None,
+    )  # fmt: skip
+    if tangents is not None:
+        mesh.add_attribute("vertex_tangent", 3, np.ascontiguousarray(tangents, np.float32).ravel())
+    params = mi.traverse(mesh)
+    params[POSITIONS] = np.ascontiguousarray(vertices, np.float32).ravel()
+    params[FACES] = np.ascontiguousarray(faces, np.uint32).ravel()
+    if normals is not None:
+        params[NORMALS] = np.ascontiguousarray(normals, np.float32).ravel()
+    if uvs is not None:
+        params[UVS] = np.ascontiguousarray(uvs, np.float32).ravel()
+    params.update()
+    return mesh
+
+
+def mesh_positions(mesh: mi.Mesh) -> mi.Float:
+    """
+    Vertex positions of a mesh as it is rendered, flat ``x0 y0 z0 x1 …``; carries the gradient that is on them.
+    """
+    return mi.traverse(mesh)[POSITIONS]
+
+
+def mesh_faces(mesh: mi.Mesh) -> np.ndarray:
+    """
+    Vertex indices, shape (F, 3).
+    """
+    return mi.traverse(mesh)[FACES].numpy().reshape(-1, 3).astype(np.int64)
+
+
+def mesh_normals(mesh: mi.Mesh) -> np.ndarray | None:
+    """
+    Vertex normals, shape (V, 3), or None for a faceted mesh.
+    """
+    if not mesh.has_vertex_normals():
+        return None
+    return mi.traverse(mesh)[NORMALS].numpy().reshape(-1, 3)
+
+
+def mesh_uvs(mesh: mi.Mesh) -> np.ndarray | None:
+    """
+    Texture coordinates, shape (V, 2), or None.
+    """
+    if not mesh.has_vertex_texcoords():
+        return None
+    return mi.traverse(mesh)[UVS].numpy().reshape(-1, 2)
+
+
+class MovingMesh:
+    """
+    A mesh whose positions change from step to step, alone in a scene of its own that rays are traced against.
+
+    The scene only finds hits; positions, normals and textures are looked up outside of it.
+    """
+
+    def __init__(self, positions: np.ndarray, faces: np.ndarray):
+        self.scene = mi.load_dict({"type": "scene", "mesh": make_mesh("moving", positions, faces)})
+        self._params = mi.traverse(self.scene)
+        self._key = f"mesh.{POSITIONS}"
+        self._params.keep([self._key])
+
+    def move(self, positions: mi.Float) -> None:
+        """
+        Set the positions, flat ``x0 y0 z0 …``, and rebuild the acceleration structure.
+        """
+        self._params[self._key] = dr.detach(positions)
+        self._params.update()
+
+
+def part_normals(part: Part) -> np.ndarray:
+    """
+    Shading normals of a part, shape (V, 3): the file's, or angle-weighted over welded positions.
+    """
+    if part.normals is not None:
+        return part.normals
+    positions, index = weld(part.vertices)
+    return vertex_normals(positions, index[part.faces])[index]
+
+
+def bitmap(image: np.ndarray, wrap: str = "repeat") -> dict:
+    """
+    Mitsuba texture of a linear float image, shape (H, W, C).
+    """
+    if image.shape[2] == 2:
+        raise ValueError("a texture has 1, 3 or 4 channels")
+    data = mi.Bitmap(np.ascontiguousarray(image, np.float32))
+    return {"type": "bitmap", "bitmap": data, "raw": True, "wrap_mode": wrap}
+
+
+def _constant(image: np.ndarray) -> bool:
+    return image.shape[0] == 1 and image.shape[1] == 1
+
+
+def _scalar(image: np.ndarray):
+    return float(image[0, 0, 0]) if _constant(image) else bitmap(image)
+
+
+def material_bsdf(material: Material, *, mesh_tangents: bool = False, form: str = "gltf") -> dict:
+    """
+    The ``ggx_gamma`` description of a material.
+    """
+    color = material.base_color[..., :3]
+    base = {"type": "rgb", "value": [float(c) for c in color[0, 0]]} if _constant(color) else bitmap(color)
+    out = {"type": "ggx_gamma", "form": form, "base_color": base}
+    for channel, name in enumerate(("gamma", "roughness", "metallic")):
+        out[name] = _scalar(material.specular[..., channel : channel + 1])
+    if material.alpha_mode != "OPAQUE":
+        out["opacity"] = _scalar(material.base_color[..., 3:4])
+        if material.alpha_mode == "MASK":
+            out["opacity_cutoff"] = material.alpha_cutoff
+    if material.normal is not None:
+        out["normal_map"] = bitmap(material.normal * 0.5 + 0.5)
+        out["mesh_tangents"] = mesh_tangents
+    return out
+
+
+def _oriented(part: Part, normals: np.ndarray) -> Part:
+    """
+    Rewind a part whose winding disagrees with most of its own shading normals, which then would be lit from behind.
+    """
+    p = part.vertices[part.faces]
+    area = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    agree = np.einsum("fi,fi->", area, normals[part.faces].sum(1))
+    return replace(part, faces=part.faces[:, ::-1]) if agree < 0 else part
+
+
+#: Parts placed more often than this are kept as Mitsuba instances instead of being copied.
+_MANY = 8
+
+
+def asset_shapes(asset: Asset, *, form: str = "gltf") -> dict[str, mi.Object]:
+    """
+    Mitsuba shapes of an asset for a scene dictionary; parts placed often become instances of a shape group.
+    """
+    counts = np.bincount([i.part for i in asset.instances], minlength=len(asset.parts))
+    few = replace(asset, instances=tuple(i for i in asset.instances if counts[i.part] <= _MANY))
+    bsdfs: dict[tuple, mi.BSDF] = {}
+    out = {f"part_{k}": _part_mesh(f"part_{k}", part, bsdfs, form) for k, part in enumerate(few.placed())}
+    for p in np.flatnonzero(counts > _MANY):
+        group = mi.load_dict({"type": "shapegroup", "mesh": _part_mesh(f"group_{p}", asset.parts[p], bsdfs, form)})
+        out[f"group_{p}"] = group
+        for k, inst in enumerate(i for i in asset.instances if i.part == p):
+            to_world = mi.ScalarTransform4f(inst.to_world)
+            out[f"group_{p}_{k}"] = mi.load_dict({"type": "instance", "to_world": to_world, "group": group})
+    return out
+
+
+def _part_mesh(name: str, part: Part, bsdfs: dict[tuple, mi.BSDF], form: str) -> mi.Mesh:
+    normals = part_normals(part)
+    part = _oriented(part, normals)
+    vertices, faces, uvs, tangents = part.vertices, part.faces, part.uvs, None
+    if part.material.normal is not None and uvs is not None:
+        vertices, normals, uvs, faces, tangents = _tangent_vertices(part, normals)
+    key = (id(part.material), tangents is not None)
+    if key not in bsdfs:
+        bsdfs[key] = mi.load_dict(material_bsdf(part.material, mesh_tangents=tangents is not None, form=form))
+    return make_mesh(name, vertices, faces, normals, uvs, bsdfs[key], tangents)
+
+
+def _tangent_vertices(part: Part, normals: np.ndarray):
+    """
+    Vertices merged where position, normal and UV are equal, split where the texture is mirrored, with tangents.
+    """
+    rows = np.concatenate([part.vertices, normals, part.uvs], axis=1)
+    rows, index = weld(rows)
+    faces = index[part.faces]
+    mesh = split_mirrored(Mesh(rows[:, :3], np.arange(len(rows)), rows[:, 6:].astype(np.float32), faces))
+    n = rows[:, 3:6]
+    tangents, _ = vertex_tangents(mesh, n)
+    return mesh.vertices, n[mesh.position_index], mesh.uvs, mesh.faces, tangents
