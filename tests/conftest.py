@@ -1,5 +1,6 @@
 """Fixtures: a variant for every test, and the optional folder of real models."""
 
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -20,3 +21,30 @@ def shared_assets() -> Path:
     if not path.is_dir():
         pytest.skip("shared/assets is not beside this checkout")
     return path
+
+
+@pytest.fixture
+def node_run():
+    """Run a script in node with a package that it needs, or skip; see ``npm i gltf-validator mikktspace``."""
+
+    def run(package: str, script: str, stdin: str | bytes) -> str:
+        root = Path(__file__).resolve().parents[1]
+        try:
+            probe = subprocess.run(
+                ["node", "-e", f"require.resolve('{package}')"], cwd=root, capture_output=True, timeout=60
+            )
+        except FileNotFoundError:
+            pytest.skip("node is not installed")
+        if probe.returncode:
+            pytest.skip(f"node package missing: npm i --no-save {package}")
+        done = subprocess.run(
+            ["node", "-e", script],
+            cwd=root,
+            input=stdin.encode() if isinstance(stdin, str) else stdin,
+            capture_output=True,
+            timeout=120,
+        )
+        assert done.returncode == 0, done.stderr.decode()
+        return done.stdout.decode()
+
+    return run

@@ -1,1 +1,58 @@
 """Files out: glTF, OBJ, USD."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import OutputError
+from ..latent.model import Model
+from .files import make_folder
+from .gltf import write_glb as write_glb
+from .obj import write_obj as write_obj
+
+FORMATS = {"glb": "model.glb", "obj": "model.obj", "usd": "model.usdc"}
+"""File name of each format that :func:`export_model` writes."""
+
+
+def export_model(
+    model: Model, folder: str | Path, *, formats: Sequence[str] = ("glb", "obj", "usd"), extras: dict | None = None
+) -> dict[str, Path]:
+    """
+    Write a model in several formats into one folder, which is created where it is missing.
+
+    Parameters
+    ----------
+    model : Model
+    folder : str or Path
+    formats : sequence of {'glb', 'obj', 'usd'}
+    extras : dict, optional
+        Facts to keep with the file (transport, versions): strings and numbers.
+
+    Returns
+    -------
+    dict
+        Format to path.
+
+    Raises
+    ------
+    OutputError
+        A format is unknown, or the folder or a file cannot be written.
+    MeshError
+        The mesh has no faces.
+    """
+    unknown = [name for name in formats if name not in FORMATS]
+    if unknown:
+        raise OutputError(f"unknown export format {unknown[0]!r}: choose from {', '.join(FORMATS)}")
+    folder = make_folder(folder)
+    paths = {name: folder / FORMATS[name] for name in formats}
+    for name, path in paths.items():
+        if name == "glb":
+            write_glb(model, path, extras=extras)
+        elif name == "obj":
+            write_obj(model, path)
+        else:
+            from .usd import write_usd  # usd-core takes half a second to load
+
+            write_usd(model, path, extras=extras)
+    return paths

@@ -1,0 +1,178 @@
+"""
+glTF 2.0 out: one binary file with mesh, tangents and textures.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from .. import __version__
+from ..errors import MeshError
+from ..latent.model import Model
+from ..latent.tangents import split_mirrored, vertex_tangents
+from ..latent.topology import vertex_normals
+from .files import write_atomic
+from .textures import Textures, encode_textures, png
+
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+UNSIGNED_SHORT, UNSIGNED_INT, FLOAT = 5123, 5125, 5126
+LINEAR, LINEAR_MIPMAP_LINEAR, REPEAT = 9729, 9987, 10497
+
+
+def write_glb(model: Model, path: str | Path, *, extras: dict | None = None) -> Path:
+    """
+    Write a model as GLB: metallic-roughness material, MikkTSpace tangents, embedded PNG textures.
+
+    Gamma leaves as KHR_materials_specular where a dielectric texel has any (:mod:`.textures`).
+    Vertices in which mirrored and unmirrored charts meet are doubled, since TANGENT's w is per vertex.
+
+    Parameters
+    ----------
+    model : Model
+    path : str or Path
+        In an existing folder.
+    extras : dict, optional
+        JSON values for ``asset.extras``: which transport the textures were fitted under, for one.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    MeshError
+        The mesh has no faces.
+    OutputError
+        The file cannot be written.
+    """
+    return write_atomic(path, glb_bytes(model, extras=extras))
+
+
+def glb_bytes(model: Model, *, extras: dict | None = None) -> bytes:
+    """
+    The content of the file that :func:`write_glb` writes.
+    """
+    builder = _Builder()
+    attributes, indices = _geometry(builder, model)
+    textures = encode_textures(model)
+    material = _material(builder, model, textures)
+    document = {
+        "asset": {"version": "2.0", "generator": f"mi_simplify {__version__}", **_some("extras", extras)},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": model.name, "mesh": 0}],
+        "meshes": [
+            {
+                "name": model.name,
+                "primitives": [{"attributes": attributes, "indices": indices, "material": 0}],
+            }
+        ],
+        "materials": [material],
+        "samplers": [{"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": REPEAT, "wrapT": REPEAT}],
+        "textures": builder.textures,
+        "images": builder.images,
+        "accessors": builder.accessors,
+        "bufferViews": builder.views,
+        "buffers": [{"byteLength": len(builder.data)}],
+    }
+    if textures.specular_color is not None:
+        document["extensionsUsed"] = ["KHR_materials_specular"]
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text  # "JSON"
+    chunks += struct.pack("<II", len(builder.data), 0x004E4942) + bytes(builder.data)  # "BIN"
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+class _Builder:
+    """Binary buffer with the views, accessors and images that point into it."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict] = []
+        self.accessors: list[dict] = []
+        self.images: list[dict] = []
+        self.textures: list[dict] = []
+
+    def view(self, content: bytes, target: int | None = None) -> int:
+        """Append bytes, padded to a multiple of 4, and return the view's index."""
+        self.views.append(
+            {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(content), **_some("target", target)}
+        )
+        self.data += content + bytes(-len(content) % 4)
+        return len(self.views) - 1
+
+    def accessor(self, array: np.ndarray, component: int, target: int, *, bounds: bool = False) -> int:
+        """Append an array of scalars (n,) or vectors (n, k) and return the accessor's index."""
+        entry = {
+            "bufferView": self.view(np.ascontiguousarray(array).tobytes(), target),
+            "componentType": component,
+            "count": len(array),
+            "type": "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}",
+        }
+        if bounds:  # float32 to decimal and back is exact
+            entry |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
+        self.accessors.append(entry)
+        return len(self.accessors) - 1
+
+    def texture(self, name: str, image: np.ndarray) -> dict:
+        """Append an image and return the texture reference of a material."""
+        self.images.append({"name": name, "mimeType": "image/png", "bufferView": self.view(png(image))})
+        self.textures.append({"name": name, "sampler": 0, "source": len(self.images) - 1})
+        return {"index": len(self.textures) - 1}
+
+
+def _geometry(builder: _Builder, model: Model) -> tuple[dict, int]:
+    """Attributes and indices of the one primitive."""
+    mesh = split_mirrored(model.mesh)
+    if not len(mesh.faces):
+        raise MeshError("nothing to export: the mesh has no faces")
+    normals = vertex_normals(mesh.positions, mesh.position_faces)
+    tangents, w = vertex_tangents(mesh, normals)
+    vertices = {
+        "POSITION": mesh.vertices,
+        "NORMAL": normals[mesh.position_index],
+        "TANGENT": np.concatenate([tangents, w[:, None]], axis=1),
+        "TEXCOORD_0": mesh.uvs,
+    }
+    attributes = {}
+    for name, array in vertices.items():
+        array = np.asarray(array, "<f4")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} holds values that are not finite")
+        attributes[name] = builder.accessor(array, FLOAT, ARRAY_BUFFER, bounds=name == "POSITION")
+    small = len(mesh.uvs) <= 65535  # 65535 itself is reserved (primitive restart)
+    indices = mesh.faces.ravel().astype("<u2" if small else "<u4")
+    component = UNSIGNED_SHORT if small else UNSIGNED_INT
+    return attributes, builder.accessor(indices, component, ELEMENT_ARRAY_BUFFER)
+
+
+def _material(builder: _Builder, model: Model, textures: Textures) -> dict:
+    """The material, its images appended to the buffer."""
+    material = {
+        "name": model.name,
+        "pbrMetallicRoughness": {
+            "baseColorTexture": builder.texture("base_color", textures.base_color),
+            "metallicRoughnessTexture": builder.texture("orm", textures.orm),
+            "metallicFactor": 1.0,
+            "roughnessFactor": 1.0,
+        },
+        "normalTexture": builder.texture("normal", textures.normal),
+        "alphaMode": model.alpha_mode,
+        "doubleSided": True,
+    }
+    if model.alpha_mode == "MASK":
+        material["alphaCutoff"] = float(model.alpha_cutoff)
+    if textures.specular_color is not None:
+        color = builder.texture("specular_color", textures.specular_color)
+        material["extensions"] = {"KHR_materials_specular": {"specularColorTexture": color}}
+    return material
+
+
+def _some(key: str, value: object) -> dict:
+    """An entry only where there is a value."""
+    return {} if value is None else {key: value}
