@@ -51,8 +51,9 @@ def test_equals_mikktspace_on_a_turning_random_surface(node_run):
     n = 12
     u, v = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), indexing="ij")
     theta, phi = 5.5 * u, 0.3 + 2.4 * v
-    radius = 1 + 0.2 * rng.normal(size=u.shape)
-    positions = radius[..., None] * np.stack([np.cos(theta) * np.sin(phi), np.cos(phi), np.sin(theta) * np.sin(phi)], -1)
+    ring = np.sin(phi)
+    positions = np.stack([np.cos(theta) * ring, np.cos(phi), np.sin(theta) * ring], -1)
+    positions *= 1 + 0.2 * rng.normal(size=(*u.shape, 1))
     index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
