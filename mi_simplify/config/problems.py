@@ -65,7 +65,7 @@ def describe(error: ValidationError) -> str:
         elif kind == "value_error":
             lines.append(f"{path}: {problem['ctx']['error']}")
         else:
-            expected = re.sub(r"^\w+ should", "should", problem["msg"]).removesuffix(" after validation, not 0")
+            expected = re.sub(r"^\w+ should", "should", problem["msg"])
             lines.append(f"{path}: {expected}, got {_shown(given)}")
     more = f"; and {len(lines) - 3} more" if len(lines) > 3 else ""
     return "; ".join(lines[:3]) + more

@@ -25,6 +25,12 @@ def _as_list(value: Any) -> Any:
     return tuple(value) if isinstance(value, list | tuple) else (value,)
 
 
+def _not_empty(value: tuple) -> tuple:
+    if not value:
+        raise ValueError("should hold at least one value")
+    return value
+
+
 def _distinct(value: tuple) -> tuple:
     if len(set(value)) != len(value):
         raise ValueError("should name nothing twice")
@@ -32,10 +38,14 @@ def _distinct(value: tuple) -> tuple:
 
 
 FilePath = Annotated[str, Field(min_length=1), PathMark()]
-Resolutions = Annotated[tuple[Annotated[int, Field(ge=8, le=8192)], ...], BeforeValidator(_as_list)]
+Pixels = Annotated[int, Field(ge=8, le=8192)]
+Resolutions = Annotated[tuple[Pixels, ...], BeforeValidator(_as_list), AfterValidator(_not_empty)]
 Quantity = Literal["vertices", "base_color", "opacity", "gamma", "roughness", "metallic", "normal"]
 Quantities = Annotated[tuple[Quantity, ...], BeforeValidator(_as_list), AfterValidator(_distinct)]
-Formats = Annotated[tuple[Literal["glb", "obj", "usd"], ...], BeforeValidator(_as_list), AfterValidator(_distinct)]
+Format = Literal["glb", "obj", "usd"]
+Formats = Annotated[
+    tuple[Format, ...], BeforeValidator(_as_list), AfterValidator(_not_empty), AfterValidator(_distinct)
+]
 
 
 class Section(BaseModel):
@@ -136,7 +146,7 @@ class Optimizer(Section):
     steps: int = Field(400, ge=0, description="Number of steps; 0 exports the first guess.")
     batch: int = Field(4, ge=1, le=1024, description="Views per step.")
     resolution: Resolutions = Field(
-        (256,), min_length=1, description="Image width and height [px], or a list of them from coarse to fine."
+        (256,), description="Image width and height [px], or a list of them from coarse to fine."
     )
     spp: int = Field(4, ge=1, le=65536, description="Samples per pixel of a latent image.")
     rates: Rates = Rates()
@@ -174,7 +184,7 @@ class Evaluation(Section):
 class Export(Section):
     """What is written."""
 
-    formats: Formats = Field(("glb", "obj", "usd"), min_length=1, description="Model files to write.")
+    formats: Formats = Field(("glb", "obj", "usd"), description="Model files to write.")
 
 
 class Config(Section):
