@@ -1,0 +1,111 @@
+"""
+Pinhole cameras of a batch of views: rays through film positions, and the way back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from ..scenes.views import Views
+
+
+@dataclass
+class Cameras:
+    """
+    The views' cameras and lights in packets of four floats, so that one sample fetches them in six wide gathers.
+
+    Film coordinates are ``(x, y)`` in pixels from the top left corner of the image; the views' images
+    lie behind each other, pixel ``(b, y, x)`` at ``(b·height + y)·width + x``.
+    """
+
+    packets: mi.Float
+    n_views: int
+    width: int
+    height: int
+
+    @property
+    def n_pixels(self) -> int:
+        """Pixels of all views."""
+        return self.n_views * self.width * self.height
+
+    @staticmethod
+    def of(views: Views) -> Cameras:
+        """
+        Pack the views; differentiable in camera and light.
+        """
+        n = len(views)
+        rows = [
+            [*views.origin, views.tan_x],
+            [*views.right, mi.Float(0)],
+            [*views.up, mi.Float(0)],
+            [*views.forward, views.frame],
+            [*views.light_position, mi.Float(0)],
+            [*views.light_intensity, mi.Float(0)],
+        ]
+        packets = dr.empty(mi.Float, n * 24)
+        lane = dr.arange(mi.UInt32, n)
+        flat = [c for row in rows for c in row]
+        for k, c in enumerate(flat):
+            dr.scatter(packets, c + dr.zeros(mi.Float, n), lane * 24 + k)
+        return Cameras(packets, n, views.width, views.height)
+
+    def fetch(self, view: mi.UInt32, row: int, active=True) -> mi.Vector4f:
+        """
+        Packet ``row`` (0 origin and tan_x, 1 right, 2 up, 3 forward, 4 light position, 5 light intensity).
+        """
+        return dr.gather(mi.Vector4f, self.packets, view * 6 + row, active)
+
+    def origin(self, view: mi.UInt32) -> mi.Point3f:
+        """Camera position."""
+        return mi.Point3f(self.fetch(view, 0).xyz)
+
+    def ray(self, view: mi.UInt32, x: mi.Float, y: mi.Float) -> tuple[mi.Point3f, mi.Vector3f]:
+        """
+        Origin and unit direction of the ray through film position (x, y) [pixels].
+        """
+        o = self.fetch(view, 0)
+        sx = dr.fma(x, 2 / self.width, -1) * o.w
+        sy = dr.fma(y, -2 / self.height, 1) * (o.w * (self.height / self.width))
+        d = self.fetch(view, 3).xyz + self.fetch(view, 1).xyz * sx + self.fetch(view, 2).xyz * sy
+        return mi.Point3f(o.xyz), mi.Vector3f(dr.normalize(d))
+
+    def project(self, view: mi.UInt32, p: mi.Point3f) -> mi.Point3f:
+        """
+        Film position [pixels] and depth along the view axis of a point: ``(x, y, z)``; x, y mean nothing where z <= 0.
+        """
+        o = self.fetch(view, 0)
+        local = p - mi.Point3f(o.xyz)
+        z = dr.dot(local, self.fetch(view, 3).xyz)
+        iz = dr.rcp(z * o.w)
+        x = dr.dot(local, self.fetch(view, 1).xyz) * iz
+        y = dr.dot(local, self.fetch(view, 2).xyz) * iz * (self.width / self.height)
+        return mi.Point3f(dr.fma(x, 0.5, 0.5) * self.width, dr.fma(y, -0.5, 0.5) * self.height, z)
+
+    def view_of(self, pixel: mi.UInt32) -> mi.UInt32:
+        """View that a pixel of the batch belongs to."""
+        return pixel // (self.width * self.height)
+
+
+def film_samples(cameras: Cameras, spp: int, seed: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Float, mi.Float]:
+    """
+    Pixel, view and film position of every sample of a batch, ``spp`` consecutive ones a pixel.
+
+    A rank-1 lattice in every pixel, shifted at random per pixel: as even as a stratified grid for any spp. The same
+    seed gives the same positions, whatever else changes.
+    """
+    index = dr.arange(mi.UInt32, cameras.n_pixels * spp)
+    pixel = index // spp if spp > 1 else index
+    k = mi.Float(index - pixel * spp) if spp > 1 else mi.Float(0)
+    shift_x, shift_y = mi.sample_tea_32(pixel, seed, 4)
+    to_unit = 2.0**-32
+    jx = dr.fma(k, 1 / spp, mi.Float(shift_x) * to_unit)
+    jy = dr.fma(k, 0.6180339887, mi.Float(shift_y) * to_unit)
+    row = pixel // cameras.width
+    column = pixel - row * cameras.width
+    view = row // cameras.height
+    x = mi.Float(column) + (jx - dr.floor(jx))
+    y = mi.Float(row - view * cameras.height) + (jy - dr.floor(jy))
+    return pixel, view, x, y

@@ -1,0 +1,259 @@
+"""
+Edges across which the image can jump: topology once in NumPy, visible ones and samples on them per step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .camera import Cameras
+
+#: Edges whose two faces shade continuously; they matter only as silhouettes.
+SMOOTH = 0
+#: Hard normals or chart borders: the shading may jump wherever the edge is seen.
+CREASE = 1
+#: One face, or more than two: the image may jump always.
+OPEN = 2
+
+
+@dataclass
+class EdgeTable:
+    """
+    Distinct edges of a welded mesh.
+
+    Parameters
+    ----------
+    ends : ndarray, shape (E, 2), int64
+        Position indices.
+    faces : ndarray, shape (E, 2), int64
+        The two faces beside the edge; the first one twice for :data:`OPEN` edges.
+    kind : ndarray, shape (E,), int8
+    closed : bool
+        No edge is :data:`OPEN` and neighbours are wound alike: edges between two back faces are never seen.
+    """
+
+    ends: np.ndarray
+    faces: np.ndarray
+    kind: np.ndarray
+    closed: bool
+
+
+def edge_table(position_faces: np.ndarray, corner_keys: np.ndarray | None = None) -> EdgeTable:
+    """
+    Find the edges of a triangle mesh.
+
+    Parameters
+    ----------
+    position_faces : ndarray, shape (F, 3)
+        Faces over *welded* positions: a UV seam is no border.
+    corner_keys : ndarray, shape (F, 3), optional
+        What shading interpolates at each corner, as an index (vertex of UV and normal). Edges whose two
+        faces disagree on it become :data:`CREASE`.
+    """
+    faces = np.asarray(position_faces, np.int64)
+    n_faces = len(faces)
+    a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    face = np.repeat(np.arange(n_faces), 3)
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    keys = faces if corner_keys is None else np.asarray(corner_keys, np.int64)
+    key_a, key_b = keys.ravel(), np.roll(keys, -1, axis=1).ravel()
+    key_low, key_high = np.where(a < b, key_a, key_b), np.where(a < b, key_b, key_a)
+
+    keep = low != high  # a collapsed face has a corner twice
+    low, high, face, key_low, key_high = (x[keep] for x in (low, high, face, key_low, key_high))
+    forward = (a < b)[keep]
+    order = np.lexsort((face, high, low))
+    low, high, face, key_low, key_high, forward = (x[order] for x in (low, high, face, key_low, key_high, forward))
+    first = np.flatnonzero(np.r_[True, (low[1:] != low[:-1]) | (high[1:] != high[:-1])])
+    count = np.diff(np.r_[first, len(low)])
+    second = first + (count > 1)
+
+    kind = np.full(len(first), SMOOTH, np.int8)
+    kind[(key_low[first] != key_low[second]) | (key_high[first] != key_high[second])] = CREASE
+    kind[count != 2] = OPEN
+    alike = forward[first] == forward[second]
+    # Two faces wound against each other: which one faces the viewer says nothing about a fold.
+    kind[(count == 2) & alike] = OPEN
+    return EdgeTable(
+        ends=np.stack([low[first], high[first]], axis=1),
+        faces=np.stack([face[first], face[second]], axis=1),
+        kind=kind,
+        closed=bool((count == 2).all() and not alike.any()),
+    )
+
+
+class EdgeSet:
+    """
+    An edge table on the device, with its part of a step.
+
+    Parameters
+    ----------
+    table : EdgeTable
+    position_faces : ndarray, shape (F, 3)
+    crease_weight : float
+        Samples a pixel of crease gets for one that a pixel of silhouette gets: jumps there are small.
+    opaque : bool
+        What lies behind a surface is not seen.
+    """
+
+    def __init__(self, table: EdgeTable, position_faces: np.ndarray, *, crease_weight: float = 0.25, opaque: bool = True):
+        uint = lambda x: mi.UInt32(np.ascontiguousarray(x).astype(np.uint32))  # noqa: E731
+        self.n_edges = len(table.ends)
+        rows = np.concatenate([table.ends, table.faces], axis=1)
+        self._rows = uint(rows.ravel())
+        self._kind = mi.UInt32(table.kind.astype(np.uint32))
+        self._faces = mi.Vector3u(np.asarray(position_faces).T.astype(np.uint32))
+        self._crease_weight = crease_weight
+        self._hide_back = table.closed and opaque
+
+    def _planes(self, positions: mi.Float) -> mi.Float:
+        """
+        Face planes ``(n, -n·p)`` in packets of four; the sign of ``n·o - n·p`` says which side ``o`` is on.
+        """
+        p = [dr.gather(mi.Point3f, positions, i) for i in self._faces]
+        n = dr.cross(p[1] - p[0], p[2] - p[0])
+        return dr.ravel(mi.Vector4f(n.x, n.y, n.z, -dr.dot(n, mi.Vector3f(p[0]))))
+
+    def sample(self, positions: mi.Float, cameras: Cameras, n_samples: int, seed: mi.UInt32) -> EdgeSamples:
+        """
+        Points spread evenly over the visible length of the edges in all views.
+
+        Parameters
+        ----------
+        positions : mi.Float, width P·3
+            Welded positions, detached.
+        n_samples : int
+            How many points N; constant, so that no kernel is compiled anew.
+
+        Notes
+        -----
+        Two kernels: projected lengths of all (view, edge) pairs, then a stratified draw from their running sum. Evaluates the
+        sum once; nothing is read back.
+        """
+        positions = dr.detach(positions)
+        planes = self._planes(positions)
+        dr.eval(planes)
+        pair = dr.arange(mi.UInt32, self.n_edges * cameras.n_views)
+        view = pair // self.n_edges
+        segment = self._segment(positions, cameras, view, pair - view * self.n_edges)
+        weight = dr.select(segment.visible, segment.length * self._weight(planes, cameras, view, segment), 0)
+        total = dr.cumsum(weight)
+        dr.eval(total)
+        sum_ = dr.gather(mi.Float, total, self.n_edges * cameras.n_views - 1)
+
+        lane = dr.arange(mi.UInt32, n_samples)
+        r0, r1 = mi.sample_tea_32(lane, seed, 4)
+        target = (mi.Float(lane) + mi.Float(r0) * 2.0**-32) * (1 / n_samples) * sum_
+        n_pairs = self.n_edges * cameras.n_views
+        pair = dr.binary_search(0, n_pairs - 1, lambda i: dr.gather(mi.Float, total, i) <= target)
+        view = pair // self.n_edges
+        segment = self._segment(positions, cameras, view, pair - view * self.n_edges)
+        class_weight = self._weight(planes, cameras, view, segment)
+        tau = mi.Float(r1) * 2.0**-32
+        # A point at fraction tau of the clipped segment *on the film*, then its parameter on the edge itself.
+        a = tau * segment.z0 / dr.maximum(segment.z1 + tau * (segment.z0 - segment.z1), 1e-12)
+        valid = (sum_ > 0) & segment.visible & (class_weight > 0)
+        return EdgeSamples(
+            view=view,
+            end0=segment.end0,
+            end1=segment.end1,
+            s=dr.lerp(segment.s0, segment.s1, a),
+            x=dr.lerp(segment.x0, segment.x1, tau),
+            y=dr.lerp(segment.y0, segment.y1, tau),
+            nx=(segment.y1 - segment.y0) / dr.maximum(segment.length, 1e-12),
+            ny=(segment.x0 - segment.x1) / dr.maximum(segment.length, 1e-12),
+            weight=dr.select(valid, sum_ / (n_samples * dr.maximum(class_weight, 1e-6)), 0),
+        )
+
+    def _weight(self, planes: mi.Float, cameras: Cameras, view, segment) -> mi.Float:
+        """
+        Importance of a pixel of edge length: 1 for silhouettes and open edges, less for creases, else 0.
+        """
+        o = cameras.origin(view)
+        side = []
+        for f in (segment.face0, segment.face1):
+            plane = dr.gather(mi.Vector4f, planes, f)
+            side.append(dr.dot(plane.xyz, o) + plane.w > 0)
+        kind = dr.gather(mi.UInt32, self._kind, segment.edge)
+        weight = dr.select((side[0] != side[1]) | (kind == OPEN), mi.Float(1), 0)
+        weight = dr.select((weight == 0) & (kind == CREASE), self._crease_weight, weight)
+        return dr.select(side[0] | side[1], weight, 0) if self._hide_back else weight
+
+    def _segment(self, positions: mi.Float, cameras: Cameras, view: mi.UInt32, edge: mi.UInt32):
+        """
+        The part of an edge in front of the camera and inside the film.
+        """
+        row = dr.gather(mi.Vector4u, self._rows, edge)
+        p = [dr.gather(mi.Point3f, positions, i) for i in (row.x, row.y)]
+        o = cameras.fetch(view, 0)
+        axes = [cameras.fetch(view, k).xyz for k in (1, 2, 3)]
+        local = [mi.Vector3f(*[dr.dot(q - mi.Point3f(o.xyz), axis) for axis in axes]) for q in p]
+        tan_y = o.w * (cameras.height / cameras.width)
+        # Distances to the planes of the view frustum, linear along the edge (Liang and Barsky 1984).
+        margins = [
+            [q.z - _NEAR, q.z * o.w - q.x, q.z * o.w + q.x, q.z * tan_y - q.y, q.z * tan_y + q.y] for q in local
+        ]
+        s0, s1 = mi.Float(0), mi.Float(1)
+        for m0, m1 in zip(*margins, strict=True):
+            cut = m0 / dr.select(m0 != m1, m0 - m1, 1)
+            s0 = dr.select((m0 < 0) & (m1 >= 0), dr.maximum(s0, cut), s0)
+            s1 = dr.select((m0 >= 0) & (m1 < 0), dr.minimum(s1, cut), s1)
+            s1 = dr.select((m0 < 0) & (m1 < 0), -1, s1)
+        visible = s1 > s0
+        film = []
+        for s in (s0, s1):
+            q = dr.lerp(local[0], local[1], s)
+            iz = dr.rcp(dr.maximum(q.z, _NEAR))
+            x = dr.fma(q.x * iz / o.w, 0.5, 0.5) * cameras.width
+            y = dr.fma(q.y * iz / tan_y, -0.5, 0.5) * cameras.height
+            film.append((x, y, q.z))
+        (x0, y0, z0), (x1, y1, z1) = film
+        length = dr.sqrt(dr.square(x1 - x0) + dr.square(y1 - y0))
+        return _Segment(edge, row.x, row.y, row.z, row.w, s0, s1, x0, y0, z0, x1, y1, z1, length, visible & (length > 1e-6))
+
+
+#: Nearest depth at which edges are followed [scene units].
+_NEAR = 1e-3
+
+
+@dataclass
+class _Segment:
+    edge: mi.UInt32
+    end0: mi.UInt32
+    end1: mi.UInt32
+    face0: mi.UInt32
+    face1: mi.UInt32
+    s0: mi.Float
+    s1: mi.Float
+    x0: mi.Float
+    y0: mi.Float
+    z0: mi.Float
+    x1: mi.Float
+    y1: mi.Float
+    z1: mi.Float
+    length: mi.Float
+    visible: mi.Bool
+
+
+@dataclass
+class EdgeSamples:
+    """
+    Points on edges as the films see them; detached.
+
+    ``end0 end1`` are positions, ``s`` the fraction between them, (x, y) the film position [pixels], (nx, ny) the unit
+    normal of the edge on the film, ``weight`` the edge length [pixels] that the sample stands for.
+    """
+
+    view: mi.UInt32
+    end0: mi.UInt32
+    end1: mi.UInt32
+    s: mi.Float
+    x: mi.Float
+    y: mi.Float
+    nx: mi.Float
+    ny: mi.Float
+    weight: mi.Float

@@ -1,0 +1,94 @@
+"""
+From rays to surface attributes: hits are found once and detached, attributes are looked up again with gradients.
+
+This is the paper's deferred shading (Sect. 5.2) on a ray tracer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from ..latent.surface import Surface
+
+#: Face index of a ray that hit nothing.
+MISS = 0xFFFFFFFF
+
+
+@dataclass
+class Fragment:
+    """
+    Surface attributes where a ray meets a known triangle; all follow the surface along the *fixed* ray.
+
+    ``normal`` and ``tangent`` are interpolated, ``normal`` is unit length, ``tangent`` neither unit nor
+    orthogonal; ``handedness`` is ±1; ``is_back`` says that the ray meets the back of the triangle.
+    """
+
+    p: mi.Point3f
+    normal: mi.Vector3f
+    tangent: mi.Vector3f
+    handedness: mi.Float
+    u: mi.Float
+    v: mi.Float
+    is_back: mi.Bool
+    active: mi.Bool
+
+
+def trace(scene: mi.Scene, origin: mi.Point3f, direction: mi.Vector3f, active=True, tmin=None) -> tuple[mi.UInt32, mi.Float]:
+    """
+    Nearest triangle of a scene of one mesh along each ray.
+
+    Returns
+    -------
+    face : mi.UInt32
+        Triangle index, :data:`MISS` where there is none.
+    t : mi.Float
+        Distance.
+    """
+    origin, direction = dr.detach(origin), dr.detach(direction)
+    if tmin is not None:
+        origin = dr.fma(direction, tmin, origin)
+    ray = mi.Ray3f(origin, direction)
+    pi = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+    hit = pi.is_valid() & active
+    return dr.select(hit, pi.prim_index, MISS), pi.t
+
+
+def fragment(surface: Surface, face: mi.UInt32, origin: mi.Point3f, direction: mi.Vector3f) -> Fragment:
+    """
+    Attributes at the intersection of a ray with triangle ``face``.
+
+    The intersection is computed again (Möller and Trumbore 1997), so that barycentric coordinates and everything
+    interpolated with them carry the motion of the surface under a fixed ray; differentiable in surface and ray.
+    """
+    active = face != MISS
+    index = dr.gather(mi.Vector4u, surface.faces, face, active)
+    corners = [index.x, index.y, index.z]
+    a = [dr.gather(mi.Vector4f, surface.packets, i * 3, active) for i in corners]
+    b = [dr.gather(mi.Vector4f, surface.packets, i * 3 + 1, active) for i in corners]
+    c = [dr.gather(mi.Vector4f, surface.packets, i * 3 + 2, active) for i in corners]
+
+    e1, e2 = a[1].xyz - a[0].xyz, a[2].xyz - a[0].xyz
+    h = dr.cross(direction, e2)
+    det = dr.dot(e1, h)
+    inv_det = dr.rcp(dr.select(dr.abs(det) > 1e-20, det, 1e-20))
+    s = origin - a[0].xyz
+    q = dr.cross(s, e1)
+    b1 = dr.dot(s, h) * inv_det
+    b2 = dr.dot(direction, q) * inv_det
+    t = dr.dot(e2, q) * inv_det
+    b0 = 1 - b1 - b2
+
+    normal = mi.Vector3f(b[0].xyz * b0 + b[1].xyz * b1 + b[2].xyz * b2)
+    return Fragment(
+        p=mi.Point3f(origin + direction * t),
+        normal=normal * dr.rsqrt(dr.maximum(dr.squared_norm(normal), 1e-12)),
+        tangent=mi.Vector3f(c[0].xyz * b0 + c[1].xyz * b1 + c[2].xyz * b2),
+        handedness=c[0].w,
+        u=a[0].w * b0 + a[1].w * b1 + a[2].w * b2,
+        v=b[0].w * b0 + b[1].w * b1 + b[2].w * b2,
+        is_back=dr.detach(det) < 0,
+        active=active,
+    )

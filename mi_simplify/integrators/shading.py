@@ -1,0 +1,64 @@
+"""
+Direct light of one point light on the latent surface: what the latent renderer calls an image.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from ..bsdfs import microfacet
+from ..latent.textures import Texels
+from .gbuffer import Fragment
+
+
+def mapped_normal(hit: Fragment, normal: mi.Vector3f, wi: mi.Vector3f) -> mi.Vector3f:
+    """
+    The normal map's vector in the world, on the viewer's side, turned continuously to face the viewer.
+
+    Parameters
+    ----------
+    normal : mi.Vector3f
+        Tangent-space vector of the map, any length > 0.
+    wi : mi.Vector3f
+        Unit direction to the viewer.
+    """
+    n = hit.normal
+    t = hit.tangent - n * dr.dot(n, hit.tangent)
+    t *= dr.rsqrt(dr.maximum(dr.squared_norm(t), 1e-12))
+    b = dr.cross(n, t) * hit.handedness
+    m = t * normal.x + b * normal.y + n * normal.z
+    m *= dr.rsqrt(dr.maximum(dr.squared_norm(m), 1e-12))
+    m = dr.select(hit.is_back, -m, m)
+    return microfacet.face_viewer(m, wi)
+
+
+def shade(
+    hit: Fragment, texels: Texels, direction: mi.Vector3f, light_position, light_intensity, form: str = "gltf"
+) -> mi.Vector4f:
+    """
+    Premultiplied radiance and coverage of a fragment under one point light, no shadows.
+
+    Parameters
+    ----------
+    direction : mi.Vector3f
+        Of the camera ray.
+    light_position : mi.Point3f
+    light_intensity : mi.Color3f
+
+    Returns
+    -------
+    mi.Vector4f
+        ``(r, g, b, coverage)``, zero where nothing was hit.
+    """
+    wi = -direction
+    n = mapped_normal(hit, texels.normal, wi)
+    to_light = mi.Vector3f(light_position) - mi.Vector3f(hit.p)
+    inv_d2 = dr.rcp(dr.maximum(dr.squared_norm(to_light), 1e-8))
+    wo = to_light * dr.sqrt(inv_d2)
+    value = microfacet.evaluate(
+        texels.base_color, texels.gamma, texels.roughness, texels.metallic, n, wi, wo, form
+    )  # fmt: skip
+    radiance = value * mi.Color3f(light_intensity) * inv_d2 * texels.opacity
+    out = mi.Vector4f(radiance.x, radiance.y, radiance.z, texels.opacity)
+    return dr.select(hit.active, out, 0)

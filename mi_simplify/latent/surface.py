@@ -1,0 +1,126 @@
+"""
+What the integrator sees of the latent model: positions, smooth normals and tangents, all differentiable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .model import Mesh
+from .tangents import face_tangents, split_mirrored
+
+
+@dataclass
+class Surface:
+    """
+    Vertex data of one instant in packets of four floats: ``(p, u) (n, v) (t, w)``.
+
+    Parameters
+    ----------
+    packets : mi.Float, width V·12
+        Per vertex: position and u, unit normal and v, unit tangent and handedness.
+    faces : mi.UInt32, width F·4
+        Three vertex indices a face and one unused.
+    """
+
+    packets: mi.Float
+    faces: mi.UInt32
+
+
+class MeshTopology:
+    """
+    The parts of a mesh that stay while its positions move, on the device.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Vertices in which mirrored and unmirrored texture meet are split.
+    """
+
+    def __init__(self, mesh: Mesh):
+        mesh = split_mirrored(mesh)
+        self.mesh = mesh
+        self.n_positions, self.n_vertices, self.n_faces = len(mesh.positions), len(mesh.uvs), len(mesh.faces)
+        self.position_index = mi.UInt32(mesh.position_index.astype(np.uint32))
+        self.face_positions = mi.Vector3u(mesh.position_faces.T.astype(np.uint32))
+        self.face_vertices = mi.Vector3u(mesh.faces.T.astype(np.uint32))
+        faces4 = np.concatenate([mesh.faces, np.zeros((self.n_faces, 1), np.int64)], axis=1)
+        self.faces = mi.UInt32(faces4.astype(np.uint32).ravel())
+
+        uv = mesh.uvs.astype(np.float64)[mesh.faces]
+        d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+        _, sign = face_tangents(mesh)
+        # t ∝ a·e1 + b·e2 is ∂p/∂u up to a positive factor, whatever the handedness.
+        self._tangent_a = mi.Float((-sign * d2[:, 1]).astype(np.float32))
+        self._tangent_b = mi.Float((sign * d1[:, 1]).astype(np.float32))
+        self._has_tangent = mi.Bool(sign != 0)
+        w = np.ones(self.n_vertices)
+        w[mesh.faces[sign < 0].ravel()] = -1
+        self._w = mi.Float(w.astype(np.float32))
+        self._uv = mi.Vector2f(mesh.uvs.T.astype(np.float32))
+
+    def surface(self, positions: mi.Float) -> Surface:
+        """
+        The surface of welded positions, flat ``x0 y0 z0 …``, width P·3; gradients flow back to them.
+
+        Normals are angle-weighted, tangents as in MikkTSpace (paper, Sect. 5.1): the functions of
+        ``topology.vertex_normals`` and ``tangents.vertex_tangents``, in Dr.Jit.
+        """
+        face_p = [dr.gather(mi.Point3f, positions, i) for i in self.face_positions]
+        normals = self._normals(face_p)
+        corner_n = [dr.gather(mi.Vector3f, normals, i) for i in self.face_positions]
+        tangents = self._tangents(face_p, corner_n)
+
+        p = dr.gather(mi.Point3f, positions, self.position_index)
+        n = dr.gather(mi.Vector3f, normals, self.position_index)
+        t = dr.gather(mi.Vector3f, tangents, dr.arange(mi.UInt32, self.n_vertices))
+        t -= n * dr.dot(n, t)
+        length2 = dr.squared_norm(t)
+        # A vertex whose tangents cancel, or without UV area: any direction in the plane, without a gradient.
+        t = dr.select(length2 > 1e-12, t * dr.rsqrt(dr.maximum(length2, 1e-12)), dr.detach(mi.coordinate_system(n)[0]))
+        values = [p.x, p.y, p.z, self._uv.x, n.x, n.y, n.z, self._uv.y, t.x, t.y, t.z, self._w]
+        packets = dr.zeros(mi.Float, self.n_vertices * 12)
+        for k in range(3):
+            dr.scatter(packets, mi.Vector4f(*values[4 * k : 4 * k + 4]), dr.arange(mi.UInt32, self.n_vertices) * 3 + k)
+        return Surface(packets, self.faces)
+
+    def _normals(self, face_p: list[mi.Point3f]) -> mi.Float:
+        n = dr.cross(face_p[1] - face_p[0], face_p[2] - face_p[0])
+        n *= dr.rsqrt(dr.maximum(dr.squared_norm(n), 1e-30))
+        total = dr.zeros(mi.Float, self.n_positions * 3)
+        for c in range(3):
+            a = _unit(face_p[(c + 1) % 3] - face_p[c])
+            b = _unit(face_p[(c + 2) % 3] - face_p[c])
+            dr.scatter_add(total, n * _angle(a, b), self.face_positions[c])
+        total = dr.gather(mi.Vector3f, total, dr.arange(mi.UInt32, self.n_positions))
+        length2 = dr.squared_norm(total)
+        total = dr.select(length2 > 1e-24, total * dr.rsqrt(dr.maximum(length2, 1e-24)), mi.Vector3f(0, 1, 0))
+        return dr.ravel(total)
+
+    def _tangents(self, face_p: list[mi.Point3f], corner_n: list[mi.Vector3f]) -> mi.Float:
+        flat = self._tangent_a * (face_p[1] - face_p[0]) + self._tangent_b * (face_p[2] - face_p[0])
+        total = dr.zeros(mi.Float, self.n_vertices * 3)
+        for c in range(3):
+            n = corner_n[c]
+            plane = lambda x, n=n: _unit(x - n * dr.dot(n, x))  # noqa: E731
+            angle = _angle(plane(face_p[(c + 1) % 3] - face_p[c]), plane(face_p[(c + 2) % 3] - face_p[c]))
+            dr.scatter_add(total, plane(_unit(flat)) * angle, self.face_vertices[c], self._has_tangent)
+        return total
+
+
+def _unit(x: mi.Vector3f) -> mi.Vector3f:
+    """
+    Unit vector, zero where there is no length.
+    """
+    return x * dr.rsqrt(dr.maximum(dr.squared_norm(x), 1e-30))
+
+
+def _angle(a: mi.Vector3f, b: mi.Vector3f) -> mi.Float:
+    """
+    Angle between unit vectors, with a finite derivative at 0 and π.
+    """
+    return dr.atan2(dr.sqrt(dr.maximum(dr.squared_norm(dr.cross(a, b)), 1e-14)), dr.dot(a, b))
