@@ -1,7 +1,60 @@
 """
 Appearance-driven simplification of 3D models on Mitsuba 3 and Dr.Jit.
+
+Importing this package chooses the libLLVM that Dr.Jit will load and sets no variant. Everything
+below is imported when it is first used; our Mitsuba plugins register themselves with every
+variant that anyone sets::
+
+    import mi_simplify as ms
+
+    asset = ms.load_asset("statue.obj")
 """
 
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from .runtime import after_import as _after_import
 from .runtime import choose_llvm as choose_llvm
+from .runtime import ensure_variant as ensure_variant
 
 __version__ = "0.1.0"
+
+_EXPORTS = {
+    "Asset": "scenes.asset",
+    "Config": "config",
+    "Model": "latent.model",
+    "UserError": "errors",
+    "doctor": "diagnosis",
+    "dump": "config",
+    "export_model": "export",
+    "load_config": "config",
+    "make_reference": "scenes.reference",
+}
+
+__all__ = ["choose_llvm", "ensure_variant", *_EXPORTS]
+
+
+def __getattr__(name: str) -> Any:
+    """
+    Import what ``_EXPORTS`` names on first use.
+    """
+    if name not in _EXPORTS:
+        raise AttributeError(f"module 'mi_simplify' has no attribute '{name}'")
+    value = getattr(importlib.import_module(f".{_EXPORTS[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_EXPORTS])
+
+
+def _install_plugins() -> None:
+    from . import plugins
+
+    plugins.install()
+
+
+_after_import("mitsuba", _install_plugins)

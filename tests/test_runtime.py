@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from mi_simplify import runtime
-from mi_simplify.doctor import doctor
+from mi_simplify.diagnosis import doctor
 from mi_simplify.errors import RuntimeUnavailable
 
 
@@ -182,7 +182,7 @@ def test_doctor_runs_a_kernel_and_finds_every_requirement():
 
 
 def test_doctor_survives_a_process_that_aborts(monkeypatch):
-    import mi_simplify.doctor as module
+    import mi_simplify.diagnosis as module
 
     program = "import os, sys; print('LLVM ERROR: Cannot select', file=sys.stderr); os.abort()"
     monkeypatch.setattr(module, "_KERNEL", program)
