@@ -1,0 +1,189 @@
+"""
+The command line: parse, call the functions that Python users call, say what came out.
+
+The only module that prints. Exit codes: 0 done, 2 the user's input is wrong (one line, no
+traceback), 1 a defect of ours, 130 interrupted. Nothing heavy is imported before a command runs.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .errors import UserError
+
+
+def main(argv: list[str] | None = None) -> int:
+    """
+    Run the command line and return its exit code.
+
+    Parameters
+    ----------
+    argv : list of str or None
+        Arguments without the program's name; None takes those of the process.
+    """
+    logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    argv = (sys.argv[1:] if argv is None else argv) or ["--help"]
+    try:
+        code = cli.main(args=argv, prog_name="mi-simplify", standalone_mode=False)
+        return code if isinstance(code, int) else 0
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "mi-simplify"
+        return _fail(f"{error.format_message()} (see '{command} --help')")
+    except click.ClickException as error:
+        return _fail(error.format_message())
+    except UserError as error:
+        return _fail(str(error), error.exit_code)
+    except (click.Abort, KeyboardInterrupt) as interrupt:
+        print(f"interrupted{_said(interrupt)}", file=sys.stderr)
+        return 130
+    except Exception:
+        traceback.print_exc()
+        print("this is a defect of mi_simplify, please report it with the lines above", file=sys.stderr)
+        return 1
+
+
+def _fail(message: str, code: int = 2) -> int:
+    """One line on stderr, whatever the message holds."""
+    print("error:", " ".join(message.split()), file=sys.stderr)
+    return code
+
+
+def _said(interrupt: BaseException) -> str:
+    """What the interrupted job has to say, such as how to go on."""
+    reason = interrupt.__cause__ or interrupt
+    return f": {reason}" if str(reason) else ""
+
+
+def _options(*options: Callable) -> Callable:
+    """Several click options as one decorator."""
+    return lambda command: functools.reduce(lambda f, option: option(f), reversed(options), command)
+
+
+_JOB = _options(
+    click.option("--preset", metavar="NAME", help="fast, balanced or best."),
+    click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Override a config key; repeatable."),
+    click.option("--variant", metavar="NAME", help="Mitsuba variant: llvm_ad_rgb or cuda_ad_rgb."),
+)
+_OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
+_OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the run that OUT holds.")
+_QUIET = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+def cli() -> None:
+    """
+    Turn a detailed 3D asset into a small textured mesh that looks the same.
+    """
+
+
+@cli.command()
+@click.argument("asset")
+@click.option("--triangles", "-n", type=click.IntRange(min=4), help="Triangle budget of the result.")
+@_OUT
+@click.option("--config", metavar="YAML", help="Settings to start from.")
+@_JOB
+@_OVERWRITE
+@_QUIET
+def simplify(asset, triangles, out, config, preset, settings, variant, overwrite, quiet) -> None:
+    """
+    Simplify ASSET: a model file, or sample:relic for the embedded one.
+    """
+    fixed = {"asset": asset} | ({} if triangles is None else {"initial": {"triangles": triangles}})
+    name = asset.removeprefix("sample:")
+    _run(config, [*settings, fixed], preset, variant, out or _default_folder(name), overwrite, quiet)
+
+
+@cli.command()
+@click.argument("config")
+@_OUT
+@_JOB
+@_OVERWRITE
+@_QUIET
+def run(config, out, preset, settings, variant, overwrite, quiet) -> None:
+    """
+    Run the job that the YAML file CONFIG describes.
+    """
+    _run(config, settings, preset, variant, out or _default_folder(config), overwrite, quiet)
+
+
+def _default_folder(name: str) -> Path:
+    return Path("out", Path(name).stem)
+
+
+def _run(config, overrides, preset, variant, out, overwrite, quiet) -> None:
+    from .config import load_config
+
+    chosen = {} if variant is None else {"variant": variant}
+    settings = load_config(config, [*overrides, chosen], preset)
+    from .job import run_job
+
+    with _progress(quiet) as progress:
+        result = run_job(settings, out, progress, overwrite=overwrite)
+    if not quiet:
+        print(result.summary())
+
+
+@cli.command()
+@click.option("--variant", metavar="NAME", help="Mitsuba variant to try.")
+def doctor(variant) -> int:
+    """
+    Say what is installed, which LLVM is used, and whether a kernel runs.
+    """
+    from .diagnosis import doctor as examine
+
+    checks = examine(variant)
+    for check in checks:
+        mark = "ok" if check.ok else "FAIL" if check.required else "none"
+        print(f"{mark:4}  {check.name:24}  {check.detail}")
+    return 0 if all(check.ok for check in checks if check.required) else 2
+
+
+@cli.command()
+def version() -> None:
+    """
+    Print the version.
+    """
+    from . import __version__
+
+    print(f"mi-simplify {__version__}")
+
+
+@cli.command()
+@click.option("--json", "as_json", is_flag=True, help="JSON Schema, for editors, instead of Markdown.")
+def config_schema(as_json) -> None:
+    """
+    Print every config key with its type, default and meaning.
+    """
+    from . import config
+
+    if as_json:
+        import json
+
+        print(json.dumps(config.json_schema(), indent=2))
+    else:
+        print(config.markdown(), end="")
+
+
+def _progress(quiet: bool) -> Any:
+    """The display that fits: none, a bar on a terminal, plain lines elsewhere."""
+    from .display import Bar, Lines, Silent
+
+    if quiet:
+        return Silent()
+    if sys.stdout.isatty():
+        from rich.console import Console
+
+        return Bar(Console())
+    return Lines(functools.partial(print, flush=True))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
