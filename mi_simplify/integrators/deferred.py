@@ -18,7 +18,7 @@ from ..latent.textures import Textures
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
 from .camera import Cameras, film_samples
-from .edges import EdgeSet, edge_table
+from .edges import EDGE_STEP, EdgeSet, edge_table
 from .gbuffer import fragment, trace
 from .shading import shade
 
@@ -164,7 +164,3 @@ class DeferredRenderer:
         p = dr.lerp(dr.gather(mi.Point3f, positions, e.end0), dr.gather(mi.Point3f, positions, e.end1), e.s)
         film = cameras.project(e.view, p)
         dr.backward(dr.sum(jump * (film.x * e.nx + film.y * e.ny)))
-
-
-#: Step to either side of an edge, as a fraction of the film: float32 directions carry about 1e-7 of it.
-EDGE_STEP = 4e-6

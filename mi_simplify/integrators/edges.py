@@ -216,6 +216,9 @@ class EdgeSet:
         return _Segment(edge, row.x, row.y, row.z, row.w, s0, s1, x0, y0, z0, x1, y1, z1, length, visible & (length > 1e-6))
 
 
+#: Step to either side of an edge, as a fraction of the film: float32 directions carry about 1e-7 of it.
+EDGE_STEP = 4e-6
+
 #: Nearest depth at which edges are followed [scene units].
 _NEAR = 1e-3
 

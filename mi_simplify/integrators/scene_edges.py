@@ -1,0 +1,124 @@
+"""
+Edges and cameras of a plain Mitsuba scene, for the ``direct_edge`` plugin.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..errors import UserError
+from ..latent.topology import weld
+from ..scenes.shapes import mesh_faces, mesh_normals, mesh_positions, mesh_uvs
+from ..scenes.views import Views
+from .camera import Cameras
+from .edges import EdgeSet, edge_table
+
+
+def sensor_cameras(sensor: mi.Sensor) -> Cameras:
+    """
+    A Mitsuba sensor as a batch of one camera, attached where the sensor is.
+
+    Raises
+    ------
+    UserError
+        The sensor is no perspective camera, or its principal point is off the centre.
+    """
+    params = mi.traverse(sensor)
+    kind = sensor.class_name() if hasattr(sensor, "class_name") else type(sensor).__name__
+    if "to_world" not in params or "x_fov" not in params or sensor.needs_aperture_sample():
+        raise UserError(f"direct_edge: sensor '{kind}' has no visibility gradient here, use a `perspective` sensor")
+    for axis in "xy":
+        key = f"principal_point_offset_{axis}"
+        if key in params and float(dr.detach(mi.Float(params[key]))[0]) != 0:
+            raise UserError("direct_edge: visibility gradients need the principal point in the middle of the film")
+    to_world = mi.Matrix4f(params["to_world"].matrix)
+    column = lambda k: mi.Vector3f(to_world[0, k], to_world[1, k], to_world[2, k])  # noqa: E731
+    size = sensor.film().size()
+    views = Views(
+        origin=mi.Point3f(column(3)),
+        right=-dr.normalize(column(0)),  # Mitsuba's camera x axis points left on the image
+        up=dr.normalize(column(1)),
+        forward=dr.normalize(column(2)),
+        tan_x=dr.tan(dr.deg2rad(mi.Float(params["x_fov"])) * 0.5),
+        light_position=mi.Point3f(0),
+        light_intensity=mi.Color3f(0),
+        frame=mi.Float(0),
+        width=int(size[0]),
+        height=int(size[1]),
+    )
+    return Cameras.of(views)
+
+
+class SceneEdges:
+    """
+    The edges of all triangle meshes of a scene, over positions welded per mesh.
+
+    Topology is found once a scene; positions are read from the shapes at every call.
+    """
+
+    def __init__(self, scene: mi.Scene):
+        self._shapes = [s for s in scene.shapes() if s.is_mesh()]
+        self._others = [s for s in scene.shapes() if not s.is_mesh()]
+        self._key = [id(s) for s in scene.shapes()]
+        self._scene = scene
+        gather, tables, faces, n_positions = [], [], [], 0
+        for mesh in self._shapes:
+            vertices = dr.detach(mesh_positions(mesh)).numpy().reshape(-1, 3)
+            _, index = weld(vertices)
+            first = np.full(index.max(initial=-1) + 1, -1, np.int64)
+            first[index[::-1]] = np.arange(len(index))[::-1]
+            gather.append(first)
+            corner = mesh_faces(mesh)
+            face = index[corner]
+            keys = _shading_keys(mesh, corner)
+            tables.append((face, keys))
+            faces.append(face + n_positions)
+            n_positions += len(first)
+        self.edges: EdgeSet | None = None
+        if faces:
+            key_offset = np.cumsum([0] + [int(k.max(initial=0)) + 1 for _, k in tables[:-1]])
+            keys = np.concatenate([k + o for (_, k), o in zip(tables, key_offset, strict=True)])
+            all_faces = np.concatenate(faces)
+            # Materials are unknown here, so nothing is taken for granted about what lies behind.
+            self.edges = EdgeSet(edge_table(all_faces, keys), all_faces, opaque=False)
+        self._first = [mi.UInt32(g.astype(np.uint32)) for g in gather]
+
+    def is_of(self, scene: mi.Scene) -> bool:
+        """Whether the topology is that of this scene."""
+        return self._scene is scene and self._key == [id(s) for s in scene.shapes()]
+
+    def moving_positions(self, sensor: mi.Sensor) -> mi.Float | None:
+        """
+        Welded positions of all meshes, flat, attached where they move; None where nothing visible moves.
+
+        Raises
+        ------
+        UserError
+            A shape moves whose silhouette is not handled.
+        """
+        camera_moves = dr.grad_enabled(mi.traverse(sensor)["to_world"]) if "to_world" in mi.traverse(sensor) else False
+        for shape in self._others:
+            if camera_moves or any(dr.grad_enabled(v) for _, v in mi.traverse(shape) if dr.is_array_v(v)):
+                raise UserError(
+                    f"direct_edge: shape '{shape.id()}' is no triangle mesh, its moving silhouette has no gradient here;"
+                    " turn it into a mesh, or keep it and the camera still"
+                )
+        positions = [mesh_positions(mesh) for mesh in self._shapes]
+        if self.edges is None or not (camera_moves or any(dr.grad_enabled(p) for p in positions)):
+            return None
+        welded = [dr.ravel(dr.gather(mi.Point3f, p, i)) for p, i in zip(positions, self._first, strict=True)]
+        return welded[0] if len(welded) == 1 else dr.concat(welded)
+
+
+def _shading_keys(mesh: mi.Mesh, faces: np.ndarray) -> np.ndarray:
+    """
+    An index per corner, equal where two faces shade alike: of the normal and the UV, or of the face if it is flat.
+    """
+    normals, uvs = mesh_normals(mesh), mesh_uvs(mesh)
+    if normals is None:
+        return np.repeat(np.arange(len(faces))[:, None], 3, axis=1)
+    rows = normals if uvs is None else np.concatenate([normals, uvs], axis=1)
+    _, index = weld(np.round(rows, 6))
+    return index[faces]
