@@ -1,0 +1,177 @@
+"""
+glTF materials: metallic-roughness with ``KHR_materials_specular``, ``KHR_texture_transform`` and vertex colours.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import AssetError
+from .asset import Material
+from .gltf_file import GltfFile
+from .images import constant, join_channels, opacity, rgb, to_float, unit_normals
+from .mapping import Mapping
+
+#: What is left out of a material, by extension.
+_LEFT_OUT = {
+    "KHR_materials_clearcoat": "clear coat", "KHR_materials_sheen": "sheen",
+    "KHR_materials_transmission": "transmission", "KHR_materials_volume": "volume",
+    "KHR_materials_iridescence": "iridescence", "KHR_materials_anisotropy": "anisotropy",
+    "KHR_materials_ior": "index of refraction", "KHR_materials_unlit": "'unlit' (it is lit)",
+    "KHR_materials_dispersion": "dispersion", "KHR_materials_diffuse_transmission": "diffuse transmission",
+    "KHR_materials_subsurface": "subsurface scattering",
+}  # fmt: skip
+
+_WRAPS = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
+
+
+def read_material(file: GltfFile, index: int | None) -> tuple[Material, Mapping | None]:
+    """
+    A material and where its textures are looked up; without an index the house's default, not glTF's metal.
+
+    Parameters
+    ----------
+    index : int or None
+
+    Returns
+    -------
+    material : Material
+    mapping : Mapping or None
+        None where the material has no texture.
+    """
+    if index is None:
+        return Material(), None
+    source = file.item("materials", index)
+    reader = _MaterialReader(file, source, source.get("name") or f"material_{index}")
+    return reader.read(), reader.mapping
+
+
+class _MaterialReader:
+    def __init__(self, file: GltfFile, source: dict, name: str):
+        self.file, self.source, self.name = file, source, name
+        self.mapping: Mapping | None = None
+
+    def read(self) -> Material:
+        source, extensions = self.source, self.source.get("extensions") or {}
+        if "pbrMetallicRoughness" not in source and "KHR_materials_pbrSpecularGlossiness" in extensions:
+            base, roughness_metallic = self._specular_glossiness(extensions["KHR_materials_pbrSpecularGlossiness"])
+        else:
+            base, roughness_metallic = self._metallic_roughness(source.get("pbrMetallicRoughness") or {})
+        gamma = self._gamma(extensions.get("KHR_materials_specular"))
+        info = source.get("normalTexture")
+        pixels = self._texture(info, "normal map")
+        normal = None
+        if pixels is not None:
+            normal = unit_normals(to_float(rgb(pixels), srgb=False) * 2 - 1, float(info.get("scale", 1)))
+        for extension, meaning in _LEFT_OUT.items():
+            if extension in extensions:
+                self._note(f"{meaning} of material '{self.name}' was left out")
+        if any(source.get("emissiveFactor") or ()):
+            self._note(f"emission of material '{self.name}' was left out")
+        return Material(
+            name=self.name,
+            base_color=np.clip(base, 0, 1),
+            specular=np.clip(join_channels(gamma, roughness_metallic), 0, 1),
+            normal=normal,
+            alpha_mode=self._alpha_mode(),
+            alpha_cutoff=float(source.get("alphaCutoff", 0.5)),
+        )
+
+    def _alpha_mode(self) -> str:
+        mode = self.source.get("alphaMode", "OPAQUE")
+        if mode not in ("OPAQUE", "MASK", "BLEND"):
+            raise AssetError(f"{self.file.name}: material '{self.name}' has the unknown alphaMode '{mode}'")
+        return mode
+
+    def _metallic_roughness(self, pbr: dict) -> tuple[np.ndarray, np.ndarray]:
+        """Base colour and opacity, and (roughness, metallic), each shape (H, W, C)."""
+        base = self._color(pbr.get("baseColorTexture"), pbr.get("baseColorFactor", [1, 1, 1, 1]), "base colour")
+        factor = np.float32([pbr.get("roughnessFactor", 1), pbr.get("metallicFactor", 1)])
+        pixels = self._texture(pbr.get("metallicRoughnessTexture"), "metallic-roughness texture")
+        if pixels is None:
+            return base, factor.reshape(1, 1, 2)
+        return base, to_float(rgb(pixels)[..., 1:3], srgb=False) * factor
+
+    def _specular_glossiness(self, pbr: dict) -> tuple[np.ndarray, np.ndarray]:
+        """The retired workflow: its specular colour has no place here, its glossiness has."""
+        self._note(f"specular colour of material '{self.name}' (KHR_materials_pbrSpecularGlossiness) was left out")
+        base = self._color(pbr.get("diffuseTexture"), pbr.get("diffuseFactor", [1, 1, 1, 1]), "diffuse texture")
+        glossiness = constant(float(pbr.get("glossinessFactor", 1)))
+        pixels = self._texture(pbr.get("specularGlossinessTexture"), "specular-glossiness texture")
+        if pixels is not None and opacity(pixels) is not None:
+            glossiness = glossiness * to_float(opacity(pixels), srgb=False)
+        return base, join_channels(1 - glossiness, constant(0))
+
+    def _color(self, info: dict | None, factor: list, what: str) -> np.ndarray:
+        """Linear colour and opacity, shape (H, W, 4)."""
+        factor = np.float32(factor).reshape(1, 1, 4)
+        pixels = self._texture(info, what)
+        if pixels is None:
+            return factor
+        values = to_float(pixels, srgb=True)
+        alpha = opacity(values)
+        return join_channels(rgb(values), constant(1) if alpha is None else alpha) * factor
+
+    def _gamma(self, specular: dict | None) -> np.ndarray:
+        """
+        γ = 1 - mean(specularColor), shape (H, W, 1), the inverse of what the export writes.
+
+        ``specularFactor`` scales F90 as well, for which there is no parameter; it is folded in.
+        """
+        if specular is None:
+            return constant(0)
+        strength = constant(float(specular.get("specularFactor", 1)))
+        pixels = self._texture(specular.get("specularTexture"), "specular texture")
+        if pixels is not None and opacity(pixels) is not None:
+            strength = strength * to_float(opacity(pixels), srgb=False)
+        color = np.float32(specular.get("specularColorFactor", [1, 1, 1])).reshape(1, 1, 3)
+        if color.max() > 1:
+            self._note(f"specularColorFactor of material '{self.name}' is above 1 and was taken as 1")
+        pixels = self._texture(specular.get("specularColorTexture"), "specular colour texture")
+        if pixels is not None:
+            color = color * to_float(rgb(pixels), srgb=True)
+        color = color.mean(axis=2, keepdims=True)
+        joined = join_channels(color, strength)
+        return np.clip(1 - joined[..., :1] * joined[..., 1:], 0, 1)
+
+    def _texture(self, info: dict | None, what: str) -> np.ndarray | None:
+        """
+        The decoded image of a texture reference, or None; the first one of a material fixes its mapping.
+        """
+        if not info:
+            return None
+        texture = self.file.item("textures", info.get("index"))
+        extensions = texture.get("extensions") or {}
+        source = (extensions.get("EXT_texture_webp") or {}).get("source", texture.get("source"))
+        if source is None:
+            kind = ", ".join(extensions) or "no source"
+            raise AssetError(
+                f"{self.file.name}: the {what} of material '{self.name}' has no image that can be read ({kind}); "
+                "convert it to PNG or JPEG"
+            )
+        mapping = _mapping(info, self._wraps(texture))
+        if self.mapping is None:
+            self.mapping = mapping
+        elif not mapping.same_place(self.mapping):
+            self._note(f"{what} of material '{self.name}' was left out: its coordinates are not the first texture's")
+            return None
+        return self.file.image(source)
+
+    def _wraps(self, texture: dict) -> tuple[str, str]:
+        sampler = self.file.item("samplers", texture["sampler"]) if texture.get("sampler") is not None else {}
+        return _WRAPS.get(sampler.get("wrapS"), "repeat"), _WRAPS.get(sampler.get("wrapT"), "repeat")
+
+    def _note(self, line: str) -> None:
+        self.file.resources.note(line)
+
+
+def _mapping(info: dict, wraps: tuple[str, str]) -> Mapping:
+    transform = (info.get("extensions") or {}).get("KHR_texture_transform")
+    if transform is None:
+        return Mapping(info.get("texCoord", 0), None, wraps)
+    (u, v), (su, sv) = transform.get("offset", (0, 0)), transform.get("scale", (1, 1))
+    angle = float(transform.get("rotation", 0))
+    c, s = np.cos(angle), np.sin(angle)
+    # KHR_texture_transform: translation · rotation · scale, with v pointing down.
+    matrix = np.array([[c * su, s * sv, u], [-s * su, c * sv, v]], np.float64)
+    return Mapping(transform.get("texCoord", info.get("texCoord", 0)), matrix, wraps)

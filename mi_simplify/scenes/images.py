@@ -1,0 +1,229 @@
+"""
+Images from bytes to linear float32 arrays, and the few operations that turn them into textures.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import struct
+import warnings
+
+import numpy as np
+from PIL import Image
+
+from ..errors import AssetError
+
+#: Images with more pixels than this are refused before they are decoded.
+MAX_PIXELS = 16384**2
+
+
+def decode_image(data: bytes, name: str, model: str) -> np.ndarray:
+    """
+    Decode PNG, JPEG, WebP, TIFF, TGA, BMP, EXR or HDR bytes without touching the values.
+
+    Parameters
+    ----------
+    data : bytes
+        The file's content.
+    name, model : str
+        What the messages call the texture and the model that asks for it.
+
+    Returns
+    -------
+    ndarray, shape (H, W, C), uint8, uint16 or float32
+        C is 1 (grey), 2 (grey, opacity), 3 (RGB) or 4 (RGB, opacity); palettes are expanded.
+
+    Raises
+    ------
+    AssetError
+        The data is no image, is cut off, or declares more than ``MAX_PIXELS`` pixels.
+    """
+    try:
+        _check_header_size(data)
+        if data[:4] == b"\x76\x2f\x31\x01" or data[:2] == b"#?" or _is_deep_color_png(data):
+            return _decode_with_mitsuba(data)
+        with _pixel_limit(), Image.open(io.BytesIO(data)) as image:
+            return _pixels_of(image)
+    except (Image.DecompressionBombWarning, Image.DecompressionBombError):
+        raise AssetError(f"{model}: texture '{name}' is larger than 16384 x 16384 pixels; scale it down") from None
+    except (OSError, SyntaxError, ValueError, RuntimeError, struct.error, EOFError, IndexError, OverflowError) as error:
+        reason = "it is no image that can be decoded" if isinstance(error, Image.UnidentifiedImageError) else error
+        raise AssetError(f"{model}: texture '{name}' cannot be read: {str(reason).splitlines()[0]}") from error
+
+
+@contextlib.contextmanager
+def _pixel_limit():
+    """Make Pillow raise at ``MAX_PIXELS`` where it otherwise warns, and errs at twice as many."""
+    before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = before
+
+
+def _check_header_size(data: bytes) -> None:
+    """Size check of the formats that do not go through Pillow."""
+    size = None
+    if data[:4] == b"\x76\x2f\x31\x01":
+        at = data.index(b"dataWindow\0box2i\0") + 21
+        x0, y0, x1, y1 = struct.unpack_from("<4i", data, at)
+        size = x1 - x0 + 1, y1 - y0 + 1
+    elif data[:2] == b"#?":
+        found = re.search(rb"\n[-+][XY] (\d+) [-+][XY] (\d+)\n", data[:65536])
+        size = (int(found[1]), int(found[2])) if found else (0, 0)
+    elif _is_deep_color_png(data):
+        size = struct.unpack_from(">2I", data, 16)
+    if size is None:
+        return
+    if min(size) <= 0:
+        raise ValueError("its header has no size")
+    if size[0] * size[1] > MAX_PIXELS:
+        raise Image.DecompressionBombError
+
+
+def _is_deep_color_png(data: bytes) -> bool:
+    """A PNG of 16 bits a channel and more than one channel, which Pillow would cut to 8 bits."""
+    return data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) > 25 and data[24] == 16 and data[25] in (2, 4, 6)
+
+
+def _decode_with_mitsuba(data: bytes) -> np.ndarray:
+    from .. import runtime  # only a few files need it, and it sets a variant
+
+    runtime.ensure_variant()
+    import mitsuba as mi
+
+    stream = mi.MemoryStream()
+    stream.write(data)
+    stream.seek(0)
+    pixels = np.array(mi.Bitmap(stream))
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.dtype not in (np.uint8, np.uint16):
+        pixels = pixels.astype(np.float32)
+    return pixels[..., :4]
+
+
+def _pixels_of(image: Image.Image) -> np.ndarray:
+    if image.mode.startswith("I;16"):
+        return np.asarray(image).astype(np.uint16)[..., None]
+    if image.mode == "I":
+        return np.clip(np.asarray(image), 0, 65535).astype(np.uint16)[..., None]
+    if image.mode == "F":
+        return np.asarray(image, np.float32)[..., None]
+    if image.mode in ("P", "PA") or "transparency" in image.info:
+        image = image.convert("RGBA" if image.mode == "PA" or "transparency" in image.info else "RGB")
+    elif image.mode not in ("L", "LA", "RGB", "RGBA"):
+        image = image.convert({"1": "L", "La": "LA", "RGBa": "RGBA"}.get(image.mode, "RGB"))
+    pixels = np.asarray(image)
+    return pixels[..., None] if pixels.ndim == 2 else pixels
+
+
+def srgb_to_linear(x: np.ndarray) -> np.ndarray:
+    """
+    Decode sRGB values in [0, 1] (IEC 61966-2-1), float32.
+    """
+    x = np.asarray(x, np.float32)
+    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def to_float(pixels: np.ndarray, *, srgb: bool) -> np.ndarray:
+    """
+    Decoded pixels as float32; with ``srgb`` the colour channels become linear, opacity always is.
+
+    Parameters
+    ----------
+    pixels : ndarray, shape (H, W, C), uint8, uint16 or float32
+
+    Returns
+    -------
+    ndarray, shape (H, W, C), float32
+        In [0, 1] for integer pixels.
+    """
+    if pixels.dtype == np.uint8:
+        table = np.arange(256, dtype=np.float32) / 255
+    elif pixels.dtype == np.uint16:
+        table = np.arange(65536, dtype=np.float32) / 65535
+    else:
+        table = None
+    out = table[pixels] if table is not None else pixels.astype(np.float32)
+    if srgb:
+        n_colors = pixels.shape[2] - (pixels.shape[2] in (2, 4))
+        colors = pixels[..., :n_colors]
+        out[..., :n_colors] = srgb_to_linear(table)[colors] if table is not None else srgb_to_linear(colors)
+    return out
+
+
+def rgb(pixels: np.ndarray) -> np.ndarray:
+    """
+    The colour channels of an image of 1 to 4 channels, shape (H, W, 3).
+    """
+    return np.repeat(pixels[..., :1], 3, axis=2) if pixels.shape[2] < 3 else pixels[..., :3]
+
+
+def opacity(pixels: np.ndarray) -> np.ndarray | None:
+    """
+    The opacity channel, shape (H, W, 1), or None where the image has none.
+    """
+    return pixels[..., -1:] if pixels.shape[2] in (2, 4) else None
+
+
+def constant(*values: float) -> np.ndarray:
+    """
+    A texture of one texel, shape (1, 1, C), float32.
+    """
+    return np.float32(values).reshape(1, 1, -1)
+
+
+def join_channels(*images: np.ndarray) -> np.ndarray:
+    """
+    Stack images of any sizes along the channels, smaller ones enlarged to the largest height and width.
+    """
+    size = max(i.shape[0] for i in images), max(i.shape[1] for i in images)
+    return np.concatenate([_enlarge(i, size) for i in images], axis=2)
+
+
+def _enlarge(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Bilinear, texel centres at half coordinates, repeating borders."""
+    for axis, n in enumerate(size):
+        m = image.shape[axis]
+        if n == m:
+            continue
+        if m == 1:
+            image = np.repeat(image, n, axis=axis)
+            continue
+        at = (np.arange(n) + 0.5) * (m / n) - 0.5
+        low = np.floor(at).astype(np.int64)
+        weight = (at - low).astype(np.float32).reshape((-1, 1, 1) if axis == 0 else (1, -1, 1))
+        a, b = image.take(low % m, axis), image.take((low + 1) % m, axis)
+        image = a + (b - a) * weight
+    return image
+
+
+def unit_normals(vectors: np.ndarray, scale: float = 1.0) -> np.ndarray:
+    """
+    Tangent-space unit vectors from decoded vectors in [-1, 1], x and y scaled first.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (H, W, 3), float32
+    scale : float
+        glTF's ``normalTexture.scale``.
+    """
+    vectors = vectors * np.float32([scale, scale, 1])
+    length = np.linalg.norm(vectors, axis=2, keepdims=True)
+    return np.where(length > 1e-6, vectors / np.maximum(length, 1e-6), np.float32([0, 0, 1])).astype(np.float32)
+
+
+def is_normal_map(pixels: np.ndarray) -> bool:
+    """
+    Whether a decoded image holds tangent-space unit vectors rather than, say, heights.
+    """
+    if pixels.shape[2] < 3:
+        return False
+    vectors = to_float(pixels, srgb=False)[..., :3] * 2 - 1
+    good = (np.abs(np.linalg.norm(vectors, axis=2) - 1) < 0.15) & (vectors[..., 2] > -0.1)
+    return bool(good.mean() > 0.9)

@@ -1,0 +1,103 @@
+"""
+One door for models: the reader is chosen by the file's suffix, and whatever is wrong with a file is one clear line.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from ..errors import AssetError, UserError
+from .asset import Asset
+from .validate import check_asset
+
+_READERS = {
+    ".obj": "read_obj", ".ply": "read_ply", ".stl": "read_stl", ".glb": "read_gltf", ".gltf": "read_gltf",
+    ".usd": "read_usd", ".usda": "read_usd", ".usdc": "read_usd", ".usdz": "read_usd",
+}  # fmt: skip
+
+#: Suffixes that :func:`load_asset` reads.
+SUFFIXES = tuple(_READERS)
+
+
+def is_mitsuba_scene(path: str | Path) -> bool:
+    """
+    Whether a path names a Mitsuba XML scene, which can be a reference but is no asset.
+    """
+    return Path(path).suffix.lower() == ".xml"
+
+
+def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
+    """
+    Read a model file and check that it can be rendered.
+
+    Parameters
+    ----------
+    path : str or Path
+        OBJ (with MTL), PLY, STL, GLB, glTF, USD, USDA, USDC or USDZ.
+    purpose : str
+        What the messages call the file: 'asset', 'reference', 'low-poly mesh', …
+
+    Returns
+    -------
+    Asset
+        In the conventions of :mod:`.asset`; ``notes`` tells what was left out or mended.
+
+    Raises
+    ------
+    AssetError
+        No such file, an unknown format, or something in it cannot be read or is missing.
+    MeshError
+        No faces, NaN positions, indices out of range, no area.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise AssetError(f"the {purpose} '{path}' does not exist")
+    if not path.is_file():
+        raise AssetError(f"the {purpose} '{path}' is no file; name the model file in it")
+    if is_mitsuba_scene(path):
+        raise AssetError(f"the {purpose} '{path}' is a Mitsuba scene: a reference to render, not a mesh to start from")
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        known = ", ".join(s[1:].upper() for s in _READERS)
+        raise AssetError(f"the {purpose} '{path}' is of an unknown format '{suffix}'; known are {known}")
+    if path.stat().st_size == 0:
+        raise AssetError(f"the {purpose} '{path}' is empty")
+    try:
+        asset = _reader(suffix)(path)
+        asset = check_asset(asset, path.name)
+    except UserError:
+        raise
+    except _MALFORMED as error:
+        what = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise AssetError(f"{path.name}: the file is malformed and cannot be read ({what}); export it again") from error
+    return replace(asset, name=path.stem, source=str(path))
+
+
+#: What readers run into when a file's parts do not fit together. Other exceptions are defects and keep their traceback.
+_MALFORMED = (
+    LookupError, TypeError, ValueError, AttributeError, ArithmeticError, struct.error, binascii.Error, MemoryError,
+    RecursionError, OSError,
+)  # fmt: skip
+
+
+def _reader(suffix: str) -> Callable[[Path], Asset]:
+    """The reader of a format; imported when needed, since USD takes a while."""
+    name = _READERS[suffix]
+    if name == "read_obj":
+        from .read_obj import read_obj as reader
+    elif name == "read_ply":
+        from .read_ply import read_ply as reader
+    elif name == "read_stl":
+        from .read_stl import read_stl as reader
+    elif name == "read_gltf":
+        from .read_gltf import read_gltf as reader
+    else:
+        try:
+            from .read_usd import read_usd as reader
+        except ImportError as error:
+            raise AssetError(f"USD files need the package usd-core: pip install usd-core ({error})") from error
+    return reader

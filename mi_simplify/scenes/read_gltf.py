@@ -1,0 +1,254 @@
+"""
+glTF 2.0 and GLB: primitives as parts, nodes as instances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import AssetError, MeshError
+from .asset import Asset, Instance, Part
+from .gltf_file import GltfFile
+from .gltf_material import read_material
+from .images import constant
+from .mapping import Mapping
+from .validate import check_indices, used_vertices
+
+_MODES = {0: "points", 1: "lines", 2: "line loop", 3: "line strip", 4: "triangles", 5: "strip", 6: "fan"}
+
+
+def read_gltf(path: Path) -> Asset:
+    """
+    Read the default scene of a GLB or glTF file.
+
+    A primitive placed by several nodes becomes one part with several instances. Skinned meshes are posed as the nodes
+    stand, that is in their rest pose; morph targets and animations are left out with a note.
+
+    Raises
+    ------
+    AssetError
+        The file, a buffer or an image is missing or broken, or requires an extension that is not supported.
+    MeshError
+        Indices out of range.
+    """
+    notes: list[str] = []
+    return _Scene(GltfFile(path, notes), notes).read(path)
+
+
+class _Scene:
+    def __init__(self, file: GltfFile, notes: list[str]):
+        self.file, self.notes = file, notes
+        self.parts: list[Part] = []
+        self.instances: list[Instance] = []
+        self._of_mesh: dict[int, list[int]] = {}
+        self._materials: dict[int | None, tuple] = {}
+
+    def read(self, path: Path) -> Asset:
+        world = self._world()
+        for index, to_world in world.items():
+            node = self.file.item("nodes", index)
+            if node.get("mesh") is None:
+                continue
+            name = node.get("name") or f"node_{index}"
+            if node.get("skin") is not None:
+                self._skinned(node, name, to_world, world)
+                continue
+            for placement in self._gpu_instances(node):
+                for part in self._parts_of(node["mesh"]):
+                    self.instances.append(Instance(part, to_world @ placement, name))
+        if self.file.json.get("animations"):
+            self.file.resources.note("animations were left out; the model stands as its nodes do")
+        return Asset(tuple(self.parts), tuple(self.instances), notes=tuple(self.notes))
+
+    def _world(self) -> dict[int, np.ndarray]:
+        """Transforms of all nodes of the scene, by node, parents before children."""
+        json = self.file.json
+        if json.get("scenes"):
+            roots = self.file.item("scenes", json.get("scene", 0)).get("nodes", [])
+        else:
+            nodes = json.get("nodes", [])
+            roots = sorted(set(range(len(nodes))) - {c for n in nodes for c in n.get("children", [])})
+        world: dict[int, np.ndarray] = {}
+        todo = [(root, np.eye(4)) for root in reversed(roots)]
+        while todo:
+            index, parent = todo.pop()
+            if index in world:
+                raise AssetError(f"{self.file.name}: nodes[{index}] has two parents or lies on a loop; export it again")
+            node = self.file.item("nodes", index)
+            world[index] = parent @ _local(node)
+            todo += [(child, world[index]) for child in reversed(node.get("children", []))]
+        return world
+
+    def _gpu_instances(self, node: dict) -> np.ndarray:
+        """Placements of EXT_mesh_gpu_instancing, shape (N, 4, 4); the identity without it."""
+        attributes = ((node.get("extensions") or {}).get("EXT_mesh_gpu_instancing") or {}).get("attributes") or {}
+        keys = ("TRANSLATION", "ROTATION", "SCALE")
+        columns = [self.file.accessor(attributes[k]).astype(np.float64) if k in attributes else None for k in keys]
+        counts = {len(c) for c in columns if c is not None}
+        if len(counts) > 1:
+            raise AssetError(f"{self.file.name}: the instance attributes of a node differ in number: {sorted(counts)}")
+        return _trs(*columns, counts.pop()) if counts else np.eye(4)[None]
+
+    def _parts_of(self, mesh_index: int) -> list[int]:
+        """Indices of the parts of a mesh, read at its first use."""
+        if mesh_index not in self._of_mesh:
+            mesh = self.file.item("meshes", mesh_index)
+            name = mesh.get("name") or f"mesh_{mesh_index}"
+            numbers = []
+            for k, primitive in enumerate(mesh.get("primitives", [])):
+                part, _ = self._primitive(primitive, f"{name}_{k}" if len(mesh["primitives"]) > 1 else name)
+                if part is not None:
+                    numbers.append(len(self.parts))
+                    self.parts.append(part)
+            self._of_mesh[mesh_index] = numbers
+        return self._of_mesh[mesh_index]
+
+    def _primitive(self, primitive: dict, name: str) -> tuple[Part | None, np.ndarray]:
+        """A primitive as a part, and the vertices of the file that it kept."""
+        file, attributes = self.file, primitive.get("attributes") or {}
+        mode = primitive.get("mode", 4)
+        if mode not in (4, 5, 6) or "POSITION" not in attributes:
+            what = _MODES.get(mode, f"mode {mode}") if "POSITION" in attributes else "no positions"
+            file.resources.note(f"a primitive of '{name}' was left out: {what}")
+            return None, np.zeros(0, np.int64)
+        vertices = file.accessor(attributes["POSITION"])
+        if vertices.ndim != 2 or vertices.shape[1] != 3:
+            raise MeshError(f"{file.name}: positions of '{name}' are no 3D vectors; export the file again")
+        index = primitive.get("indices")
+        index = np.arange(len(vertices)) if index is None else file.accessor(index).astype(np.int64)
+        check_indices(index, len(vertices), file.name, name)
+        faces = _triangles(index, mode)
+        if not len(faces):
+            file.resources.note(f"a primitive of '{name}' was left out: it has no faces")
+            return None, np.zeros(0, np.int64)
+        used, faces = used_vertices(faces, len(vertices))
+        if primitive.get("targets"):
+            file.resources.note(f"morph targets of '{name}' were left out; it is shown in its base shape")
+
+        def attribute(key: str) -> np.ndarray | None:
+            if key not in attributes:
+                return None
+            values = file.accessor(attributes[key])
+            if len(values) != len(vertices):
+                raise MeshError(f"{file.name}: {key} of '{name}' has {len(values)} rows for {len(vertices)} vertices")
+            return values[used]
+
+        material_index = primitive.get("material")
+        if material_index not in self._materials:
+            self._materials[material_index] = read_material(file, material_index)
+        material, mapping = self._materials[material_index]
+        colors = attribute("COLOR_0")
+        if colors is not None:
+            colors = colors[:, :4].astype(np.float32)
+            if colors.shape[1] == 3:
+                colors = np.concatenate([colors, np.ones((len(colors), 1), np.float32)], axis=1)
+            if material_index is None:  # vertex colours multiply the base colour, so they want a white one
+                material = type(material)("vertex colours", base_color=constant(1, 1, 1, 1))
+        normals = attribute("NORMAL")
+        part = Part(
+            vertices[used].astype(np.float64), faces, None if normals is None else normals.astype(np.float32),
+            self._uvs(attribute, mapping, name), colors, material, name,
+        )  # fmt: skip
+        return part, used
+
+    def _uvs(self, attribute, mapping: Mapping | None, name: str) -> np.ndarray | None:
+        """Texture coordinates with the material's texture transform applied, shape (V, 2)."""
+        uvs = attribute(f"TEXCOORD_{mapping.set if mapping else 0}")
+        if uvs is None:
+            if mapping is not None:
+                self.file.resources.note(f"'{name}' has textures but no TEXCOORD_{mapping.set}; they show one texel")
+            return None
+        return uvs if mapping is None else mapping.apply(uvs, name, self.file.resources)
+
+    def _skinned(self, node: dict, name: str, to_world: np.ndarray, world: dict[int, np.ndarray]) -> None:
+        """
+        The mesh of a skinned node, posed by its joints as they stand; its own transform does not count (glTF 3.7.3.3).
+        """
+        file = self.file
+        skin = file.item("skins", node["skin"])
+        joints = [world.get(j) for j in skin.get("joints", [])]
+        if not joints or any(j is None for j in joints):
+            raise AssetError(f"{file.name}: the skin of '{name}' has joints that are not in the scene; export it again")
+        matrices = np.stack(joints)
+        if skin.get("inverseBindMatrices") is not None:
+            inverse = file.accessor(skin["inverseBindMatrices"]).astype(np.float64)
+            matrices = matrices @ inverse[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)
+        mesh = file.item("meshes", node["mesh"])
+        for k, primitive in enumerate(mesh.get("primitives", [])):
+            part, used = self._primitive(primitive, f"{name}_{k}" if len(mesh["primitives"]) > 1 else name)
+            if part is None:
+                continue
+            attributes = primitive["attributes"]
+            sets = [s for s in range(4) if f"JOINTS_{s}" in attributes and f"WEIGHTS_{s}" in attributes]
+            if not sets:
+                file.resources.note(f"'{name}' has a skin but no joint weights; it stands as its node does")
+                self._add(part, to_world, name)
+                continue
+            which, weights = (
+                np.concatenate([file.accessor(attributes[f"{key}_{s}"])[used] for s in sets], axis=1)
+                for key in ("JOINTS", "WEIGHTS")
+            )
+            which = np.where(weights > 0, which, 0).astype(np.int64)
+            check_indices(which.reshape(-1), len(joints), file.name, name, "joint")
+            self._add(_posed(part, matrices, which, weights.astype(np.float64)), np.eye(4), name)
+        file.resources.note(f"'{name}' is skinned; it is shown in its rest pose")
+
+    def _add(self, part: Part, to_world: np.ndarray, name: str) -> None:
+        self.instances.append(Instance(len(self.parts), to_world, name))
+        self.parts.append(part)
+
+
+def _posed(part: Part, matrices: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> Part:
+    """Linear blend skinning; ``matrices`` (J, 4, 4), ``joints`` and ``weights`` (V, K)."""
+    total = weights.sum(axis=1, keepdims=True)
+    weights = np.where(total > 0, weights / np.where(total > 0, total, 1), 1 / weights.shape[1])
+    blend = np.einsum("vk,vkij->vij", weights, matrices[joints])
+    vertices = np.einsum("vij,vj->vi", blend[:, :3, :3], part.vertices) + blend[:, :3, 3]
+    linear = blend[:, :3, :3]
+    mirrored = np.linalg.det(linear) < 0
+    normals = part.normals
+    if normals is not None:
+        # Cofactors transform normals as the inverse transpose does, up to a length, and exist for singular blends too.
+        cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
+        normals = np.einsum("vij,vj->vi", cofactors, normals) * np.where(mirrored, -1, 1)[:, None]
+    faces = part.faces[:, ::-1] if mirrored.mean() > 0.5 else part.faces
+    return replace(part, vertices=vertices, faces=faces, normals=normals)
+
+
+def _triangles(index: np.ndarray, mode: int) -> np.ndarray:
+    """Vertex indices of a triangle list, strip or fan as faces, shape (F, 3)."""
+    if mode == 4:
+        return index[: len(index) // 3 * 3].reshape(-1, 3)
+    k = np.arange(max(len(index) - 2, 0))
+    if mode == 6:
+        return np.stack([index[k + 1], index[k + 2], np.broadcast_to(index[:1], k.shape)], axis=1)
+    odd = k % 2
+    return np.stack([index[k], index[k + 1 + odd], index[k + 2 - odd]], axis=1)
+
+
+def _local(node: dict) -> np.ndarray:
+    """A node's own transform, shape (4, 4)."""
+    if node.get("matrix") is not None:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    keys = ("translation", "rotation", "scale")
+    return _trs(*(None if node.get(k) is None else np.array([node[k]], np.float64) for k in keys), 1)[0]
+
+
+def _trs(translation: np.ndarray | None, rotation: np.ndarray | None, scale: np.ndarray | None, n: int) -> np.ndarray:
+    """Matrices of translations (N, 3), unit quaternions xyzw (N, 4) and scales (N, 3); shape (N, 4, 4)."""
+    out = np.tile(np.eye(4), (n, 1, 1))
+    if rotation is not None:
+        x, y, z, w = (rotation / np.maximum(np.linalg.norm(rotation, axis=1, keepdims=True), 1e-20)).T
+        out[:, :3, :3] = np.moveaxis(np.array([
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]), -1, 0)  # fmt: skip
+    if scale is not None:
+        out[:, :3, :3] *= scale[:, None, :]
+    if translation is not None:
+        out[:, :3, 3] = translation
+    return out

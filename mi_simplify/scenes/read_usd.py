@@ -1,0 +1,340 @@
+"""
+USD in all its forms (usd, usda, usdc, usdz): meshes as parts, placements as instances.
+
+USD speaks row vectors, has its texture origin at the bottom left, and may be Z-up or left-handed; that ends here.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pxr import Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
+
+from ..errors import AssetError, MeshError
+from .asset import Asset, Instance, Material, Part
+from .mapping import Mapping
+from .polygons import fan, smooth_normals, split_corners, unique_rows
+from .resources import Resources
+from .usd_material import display_material, read_usd_material
+from .validate import check_indices
+
+_TIME = Usd.TimeCode.EarliestTime()
+_ALL = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
+_UV_NAMES = ("st", "st0", "st_0", "UVMap", "uv", "uvs", "map1", "UVW", "Texture_uv")
+_Z_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
+
+
+def read_usd(path: Path) -> Asset:
+    """
+    Read the meshes of a stage at its earliest time; the unit of length stays what it is.
+
+    Instances (scenegraph and point instancers) share parts. Skinned meshes stand in their bind pose; subdivision
+    surfaces are taken as their control cage. Warnings of the library become notes instead of lines on the screen.
+
+    Raises
+    ------
+    AssetError
+        The stage, a layer, or a texture is missing or cannot be read.
+    MeshError
+        Face counts and indices that do not fit together.
+    """
+    notes: list[str] = []
+    resources = Resources(path, notes)
+    diagnostics = UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        stage = Usd.Stage.Open(str(path))
+        _note_diagnostics(diagnostics, resources)
+        asset = _Stage(stage, resources).read()
+        _note_diagnostics(diagnostics, resources)
+    except Tf.ErrorException as error:
+        found = re.search(r"in file .*? : '(.+?)'\s*(?:\n|$)", str(error), re.DOTALL)
+        reason = re.sub(
+            r"pxrInternal\w*?__::|pxrInternal\w*?___", "", " ".join((found[1] if found else str(error)).split())
+        )
+        raise AssetError(f"{path.name}: USD cannot read it: {reason}") from error
+    return Asset(asset.parts, asset.instances, notes=tuple(notes))
+
+
+def _note_diagnostics(delegate: UsdUtils.CoalescingDiagnosticDelegate, resources: Resources) -> None:
+    for item in delegate.TakeUncoalescedDiagnostics():
+        line = " ".join(re.sub(r"\(instantiating stage.*|:SDF_FORMAT_ARGS:[^@]*", "", item.commentary).split())
+        missing = re.search(r"Could not open asset @([^@]+)@", line)
+        if missing and "Cannot determine file format" not in line:
+            raise AssetError(f"{resources.model.name}: it refers to '{missing[1]}', which cannot be opened: {line}")
+        resources.note(f"USD: {line}")
+
+
+class _Stage:
+    def __init__(self, stage: Usd.Stage, resources: Resources):
+        self.stage, self.resources = stage, resources
+        self.parts: list[Part] = []
+        self.instances: list[Instance] = []
+        self._xforms = UsdGeom.XformCache(_TIME)
+        self._skeletons = UsdSkel.Cache()
+        self._skel_roots: set = set()
+        self._of_mesh: dict[tuple, list[int]] = {}
+        self._materials: dict[str, tuple] = {}
+
+    def read(self) -> Asset:
+        up = _Z_UP if UsdGeom.GetStageUpAxis(self.stage) == UsdGeom.Tokens.z else np.eye(4)
+        self._collect(self.stage.GetPseudoRoot(), up)
+        return Asset(tuple(self.parts), tuple(self.instances))
+
+    def _collect(self, root: Usd.Prim, to_world: np.ndarray, depth: int = 0) -> None:
+        """Place everything visible below a prim, its world transforms put behind ``to_world``."""
+        prims = iter(Usd.PrimRange(root, _ALL))
+        for prim in prims:
+            imageable = UsdGeom.Imageable(prim)
+            if not imageable:
+                continue
+            if imageable.ComputeVisibility(_TIME) == UsdGeom.Tokens.invisible:
+                prims.PruneChildren()
+            elif imageable.ComputePurpose() in (UsdGeom.Tokens.guide, UsdGeom.Tokens.proxy):
+                prims.PruneChildren()
+                self.resources.note(f"'{prim.GetPath()}' was left out: its purpose is not to be rendered")
+            elif prim.IsA(UsdGeom.PointInstancer):
+                prims.PruneChildren()
+                self._point_instances(UsdGeom.PointInstancer(prim), to_world, depth)
+            elif prim.IsA(UsdGeom.Mesh):
+                placement = to_world @ self._placement(prim)
+                self.instances += [Instance(part, placement, prim.GetName()) for part in self._parts_of(prim)]
+            elif prim.IsA(UsdGeom.Gprim):
+                self.resources.note(f"'{prim.GetPath()}' was left out: a {prim.GetTypeName()} is no mesh")
+
+    def _world(self, prim: Usd.Prim) -> np.ndarray:
+        return _matrix(self._xforms.GetLocalToWorldTransform(prim))
+
+    def _placement(self, prim: Usd.Prim) -> np.ndarray:
+        """World transform of a mesh; a skinned one follows its skeleton instead of its parents."""
+        root = UsdSkel.Root.Find(prim)
+        if not root:
+            return self._world(prim)
+        if root.GetPath() not in self._skel_roots:
+            self._skel_roots.add(root.GetPath())
+            self._skeletons.Populate(root, _ALL)
+        query = self._skeletons.GetSkinningQuery(prim)
+        skeleton = UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
+        if not query or not query.HasJointInfluences() or not skeleton:
+            return self._world(prim)
+        self.resources.note(f"'{prim.GetName()}' is skinned; it is shown in its bind pose")
+        if query.HasBlendShapes():
+            self.resources.note(f"blend shapes of '{prim.GetName()}' were left out")
+        return self._world(skeleton.GetPrim()) @ _matrix(query.GetGeomBindTransform(_TIME))
+
+    def _point_instances(self, instancer: UsdGeom.PointInstancer, to_world: np.ndarray, depth: int) -> None:
+        name = instancer.GetPrim().GetName()
+        if depth > 8:
+            raise AssetError(f"{self.resources.model.name}: point instancers are nested deeper than 8 at '{name}'")
+        targets = instancer.GetPrototypesRel().GetForwardedTargets()
+        which = instancer.GetProtoIndicesAttr().Get(_TIME)
+        matrices = instancer.ComputeInstanceTransformsAtTime(_TIME, _TIME, applyMask=UsdGeom.PointInstancer.IgnoreMask)
+        if which is None or not len(which) or len(matrices) != len(which):
+            self.resources.note(f"point instancer '{name}' was left out: it places nothing")
+            return
+        which = np.array(which)
+        check_indices(which, len(targets), self.resources.model.name, name, "prototype")
+        mask = instancer.ComputeMaskAtTime(_TIME)
+        shown = np.array(mask, bool) if len(mask) else np.ones(len(which), bool)
+        own = to_world @ self._world(instancer.GetPrim())
+        placements = own @ np.array(matrices, np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+        for number, target in enumerate(targets):
+            prototype = self.stage.GetPrimAtPath(target)
+            if not prototype:
+                raise AssetError(f"{self.resources.model.name}: prototype '{target}' of '{name}' does not exist")
+            before = len(self.instances)
+            # The instance transforms hold the prototype's own one already.
+            self._collect(prototype, np.linalg.inv(self._world(prototype)), depth + 1)
+            members, self.instances = self.instances[before:], self.instances[:before]
+            for placement in placements[shown & (which == number)]:
+                self.instances += [Instance(m.part, placement @ m.to_world, m.name) for m in members]
+
+    def _parts_of(self, prim: Usd.Prim) -> list[int]:
+        """Indices of the parts of a mesh, read at its first use; instances of a prototype share them."""
+        own = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
+        key = own.GetPath(), _path(_bound_material(prim))
+        if key not in self._of_mesh:
+            parts = self._mesh(prim)
+            self._of_mesh[key] = list(range(len(self.parts), len(self.parts) + len(parts)))
+            self.parts += parts
+        return self._of_mesh[key]
+
+    def _mesh(self, prim: Usd.Prim) -> list[Part]:
+        mesh, name, model = UsdGeom.Mesh(prim), prim.GetName(), self.resources.model.name
+        points = _array(mesh.GetPointsAttr().Get(_TIME), np.float64, 3)
+        counts = _array(mesh.GetFaceVertexCountsAttr().Get(_TIME), np.int64)
+        index = _array(mesh.GetFaceVertexIndicesAttr().Get(_TIME), np.int64)
+        if not len(counts) or not len(points):
+            self.resources.note(f"'{prim.GetPath()}' was left out: it has no faces")
+            return []
+        if counts.min() < 0 or counts.sum() != len(index):
+            raise MeshError(
+                f"{model}: the faces of part '{name}' ask for {counts.sum()} indices, there are {len(index)}"
+            )
+        check_indices(index, len(points), model, name)
+        if mesh.GetSubdivisionSchemeAttr().Get() not in (None, "none"):
+            scheme = mesh.GetSubdivisionSchemeAttr().Get()
+            self.resources.note(f"'{name}' is a {scheme} surface; its control cage is used without subdivision")
+        corners, polygon = fan(counts)
+        holes = _array(mesh.GetHoleIndicesAttr().Get(_TIME), np.int64)
+        if len(holes):
+            keep = ~np.isin(polygon, holes)
+            corners, polygon = corners[keep], polygon[keep]
+        if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
+            corners = corners[:, ::-1]
+
+        owner, materials = self._owners(prim, len(counts))
+        groups = [(m, corners[owner[polygon] == k]) for k, m in enumerate(materials)]
+        groups = [(m, c) for m, c in groups if len(c)]
+        reader = _Corners(prim, index, np.repeat(np.arange(len(counts)), counts), len(points), self.resources)
+        normals = reader.normals(mesh)
+        if normals is None and len(groups) > 1:
+            normals = smooth_normals(points, index[corners]), index
+        parts = [self._part(name, m, c, points, index, normals, reader) for m, c in groups]
+        return [p if len(parts) == 1 else _renamed(p, f"{name}_{k}") for k, p in enumerate(parts)]
+
+    def _part(self, name, bound, corners, points, index, normals, reader) -> Part:
+        """Corners, shape (F, 3), of one material as a part."""
+        material, mapping, color_primvar = self._material(bound)
+        flat = corners.reshape(-1)
+        uvs = reader.uvs(mapping)
+        colors = None
+        if bound is None:
+            color, alpha = reader.primvar("displayColor", 3), reader.primvar("displayOpacity", 1)
+            material, colors = _displayed(color, alpha)
+        elif color_primvar:
+            colors = reader.primvar(color_primvar, 3)
+        attributes = [normals, uvs, colors]
+        first, vertex = split_corners(index[flat], *(a[1][flat] for a in attributes if a is not None))
+        chosen = flat[first]
+        normals, uvs, colors = (None if a is None else a[0][a[1][chosen]] for a in attributes)
+        if uvs is not None:
+            if mapping is not None:
+                uvs = mapping.apply(uvs, name, self.resources)
+            uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1)
+        elif mapping is not None:
+            self.resources.note(f"'{name}' has textures but no primvar '{mapping.set}'; they show one texel")
+        if colors is not None and colors.shape[1] == 3:
+            colors = np.concatenate([colors, np.ones((len(colors), 1))], axis=1)
+        return Part(points[index[chosen]], vertex.reshape(-1, 3), normals, uvs, colors, material, name)
+
+    def _owners(self, prim: Usd.Prim, n_faces: int) -> tuple[np.ndarray, list]:
+        """The material of every face as an index into a list of bound materials, None where there is none."""
+        materials = [_bound_material(prim)]
+        owner = np.zeros(n_faces, np.int64)
+        for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+            faces = _array(subset.GetIndicesAttr().Get(_TIME), np.int64)
+            check_indices(faces, n_faces, self.resources.model.name, subset.GetPrim().GetName(), "face")
+            owner[faces] = len(materials)
+            materials.append(_bound_material(subset.GetPrim()))
+        return owner, materials
+
+    def _material(self, bound: UsdShade.Material | None) -> tuple[Material, Mapping | None, str | None]:
+        if bound is None:
+            return Material(), None, None
+        key = _path(bound)
+        if key not in self._materials:
+            self._materials[key] = read_usd_material(bound, self.resources)
+        return self._materials[key]
+
+
+class _Corners:
+    """
+    Primvars of a mesh as pairs: values, shape (N, C), and a row of them for every corner, shape (corners,).
+    """
+
+    def __init__(self, prim: Usd.Prim, index: np.ndarray, polygon: np.ndarray, n_points: int, resources: Resources):
+        self.prim, self.index, self.polygon, self.n_points = prim, index, polygon, n_points
+        self.resources = resources
+
+    def primvar(self, name: str, width: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """A primvar of the mesh or inherited from above it."""
+        primvar = UsdGeom.PrimvarsAPI(self.prim).FindPrimvarWithInheritance(name)
+        if not primvar or not primvar.HasValue():
+            return None
+        values = _array(primvar.Get(_TIME), np.float64, width)
+        indices = _array(primvar.GetIndices(_TIME), np.int64) if primvar.IsIndexed() else None
+        return self._rows(name, values, primvar.GetInterpolation(), indices)
+
+    def normals(self, mesh: UsdGeom.Mesh) -> tuple[np.ndarray, np.ndarray] | None:
+        """``primvars:normals``, else ``normals``."""
+        found = self.primvar("normals", 3)
+        attribute = mesh.GetNormalsAttr()
+        if found is not None or not attribute.HasValue():
+            return found
+        values = _array(attribute.Get(_TIME), np.float64, 3)
+        return self._rows("normals", values, mesh.GetNormalsInterpolation(), None) if len(values) else None
+
+    def uvs(self, mapping: Mapping | None) -> tuple[np.ndarray, np.ndarray] | None:
+        """The texture coordinates that a material names; without one the usual name, or the only ones."""
+        if mapping is not None:
+            return self.primvar(mapping.set, 2)
+        primvars = UsdGeom.PrimvarsAPI(self.prim).GetPrimvarsWithValues()
+        kinds = ("2f[]", "2h[]", "2d[]", "float2[]")
+        two = [p.GetPrimvarName() for p in primvars if str(p.GetTypeName()).endswith(kinds)]
+        name = next((n for n in _UV_NAMES if n in two), two[0] if two else None)
+        return self.primvar(name, 2) if name else None
+
+    def _rows(self, name, values, interpolation, indices) -> tuple[np.ndarray, np.ndarray] | None:
+        rows = {
+            "constant": lambda: np.zeros(len(self.index), np.int64),
+            "uniform": lambda: self.polygon,
+            "vertex": lambda: self.index,
+            "varying": lambda: self.index,
+            "faceVarying": lambda: np.arange(len(self.index)),
+        }[interpolation]()
+        n = len(values) if indices is None else len(indices)
+        if len(rows) and rows.max() >= n:
+            self.resources.note(
+                f"'{name}' of '{self.prim.GetName()}' was left out: its {n} values are too few for '{interpolation}'"
+            )
+            return None
+        if indices is not None:
+            check_indices(indices, len(values), self.resources.model.name, self.prim.GetName(), f"value of '{name}'")
+            return values, indices[rows]
+        if interpolation in ("faceVarying", "uniform"):  # equal values need not split a vertex
+            values, index = unique_rows(values)
+            rows = index[rows]
+        return values, rows
+
+
+def _displayed(color, alpha) -> tuple[Material, tuple[np.ndarray, np.ndarray] | None]:
+    """Material and vertex colours of a mesh that has ``displayColor`` and ``displayOpacity`` instead of a material."""
+    constant_color = None if color is None or len(color[0]) > 1 else color[0][0]
+    constant_alpha = None if alpha is None or len(alpha[0]) > 1 else alpha[0][0, 0]
+    if color is None or constant_color is not None:
+        return display_material(constant_color, constant_alpha), None
+    return display_material(np.ones(3), constant_alpha), color
+
+
+def _bound_material(prim: Usd.Prim) -> UsdShade.Material | None:
+    for purpose in ("preview", "full"):
+        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(purpose)[0]
+        if material:
+            return material
+    return None
+
+
+def _path(material: UsdShade.Material | None) -> str:
+    """A name that all instances of a material share."""
+    if material is None:
+        return ""
+    prim = material.GetPrim()
+    return str((prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath())
+
+
+def _array(value: object, dtype, width: int | None = None) -> np.ndarray:
+    """A USD array as NumPy, empty where it is not authored."""
+    out = np.zeros(0) if value is None else np.array(value)
+    return out.astype(dtype).reshape(-1) if width is None else out.astype(dtype).reshape(-1, width)
+
+
+def _matrix(matrix: object) -> np.ndarray:
+    """USD's row-vector matrix for column vectors."""
+    return np.array(matrix, np.float64).T
+
+
+def _renamed(part: Part, name: str) -> Part:
+    return replace(part, name=name)

@@ -1,0 +1,101 @@
+"""
+What every mesh must satisfy before anything is computed from it, and what is mended on the way in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import MeshError
+from .asset import Asset, Part
+from .polygons import smooth_normals
+
+#: Coordinates beyond this overflow when squared in float32.
+MAX_COORDINATE = 1e15
+
+
+def check_indices(index: np.ndarray, n: int, model: str, part: str, what: str = "vertex", first: int = 0) -> None:
+    """
+    Raise unless every index lies in [0, n); ``first`` is what the file calls number 0.
+    """
+    if len(index) and (index.min() < 0 or index.max() >= n):
+        bad = int(index.min() if index.min() < 0 else index.max()) + first
+        raise MeshError(f"{model}: part '{part}' refers to {what} {bad}, but there are {n}; export the file again")
+
+
+def used_vertices(faces: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Vertices that faces refer to, and the faces over these alone.
+    """
+    used = np.zeros(n, bool)
+    used[faces] = True
+    new_index = np.cumsum(used) - 1
+    return np.flatnonzero(used), new_index[faces].reshape(-1, 3)
+
+
+def check_asset(asset: Asset, model: str) -> Asset:
+    """
+    Refuse meshes that cannot be rendered; mend shading attributes and note it.
+
+    Degenerate and duplicate faces stay: the clean-up before the first guess deals with them.
+
+    Raises
+    ------
+    MeshError
+        No faces, NaN or infinite positions, indices out of range, no area at all, a transform that is not finite.
+    """
+    for part in asset.parts:
+        _check_part(part, model)
+    if not asset.instances or not asset.n_triangles:
+        raise MeshError(f"{model}: there are no faces in it; points and lines cannot be rendered")
+    area = 0.0
+    for instance in asset.instances:
+        to_world = instance.to_world
+        if not np.isfinite(to_world).all() or np.abs(to_world).max() > MAX_COORDINATE:
+            raise MeshError(f"{model}: the transform of '{instance.name}' is not finite; reset it and export again")
+        area += _area(asset.parts[instance.part], to_world)
+    if not area > 0:
+        names = ", ".join(f"'{p.name}'" for p in asset.parts[:3])
+        raise MeshError(f"{model}: the faces of part {names} have no area; all their corners lie on a point or a line")
+    notes = list(asset.notes)
+    parts = tuple(_mend_part(part, notes) for part in asset.parts)
+    return replace(asset, parts=parts, notes=tuple(notes))
+
+
+def _check_part(part: Part, model: str) -> None:
+    check_indices(part.faces.reshape(-1), len(part.vertices), model, part.name)
+    used = part.vertices[np.unique(part.faces)] if len(part.faces) else part.vertices[:0]
+    bad = ~np.isfinite(used).all(axis=1)
+    if bad.any():
+        raise MeshError(
+            f"{model}: {int(bad.sum())} of {len(used)} vertices of part '{part.name}' are NaN or infinite; "
+            "repair the mesh and export again"
+        )
+    if len(used) and np.abs(used).max() > MAX_COORDINATE:
+        largest = f"{np.abs(used).max():.0e}"
+        raise MeshError(f"{model}: part '{part.name}' has coordinates up to {largest}; scale it down and export again")
+
+
+def _area(part: Part, to_world: np.ndarray) -> float:
+    p = (part.vertices @ to_world[:3, :3].T)[part.faces]
+    return float(np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum())
+
+
+def _mend_part(part: Part, notes: list[str]) -> Part:
+    normals, uvs, colors = part.normals, part.uvs, part.colors
+    if normals is not None:
+        length = np.linalg.norm(normals, axis=1)
+        bad = ~(np.isfinite(length) & (length > 1e-12))
+        normals = normals / np.where(bad, 1.0, length)[:, None]
+        if bad.any():
+            normals[bad] = smooth_normals(part.vertices, part.faces)[bad]
+            notes.append(f"{int(bad.sum())} of {len(bad)} normals of part '{part.name}' had no length; recomputed")
+        normals = normals.astype(np.float32)
+    if uvs is not None and not np.isfinite(uvs).all():
+        notes.append(f"texture coordinates of part '{part.name}' that are NaN or infinite were set to 0")
+        uvs = np.nan_to_num(uvs, nan=0.0, posinf=0.0, neginf=0.0)
+    if colors is not None:
+        colors = np.clip(np.nan_to_num(colors, nan=1.0), 0, 1).astype(np.float32)
+    return replace(part, normals=normals, uvs=None if uvs is None else uvs.astype(np.float32), colors=colors)
