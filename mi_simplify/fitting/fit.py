@@ -1,0 +1,210 @@
+"""
+The optimisation loop: draw views, render both sides, carry the difference back, step.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..config import Config
+from ..integrators.deferred import DeferredRenderer
+from ..latent.latent import Latent
+from ..latent.model import Model
+from ..progress import Progress, ProgressCallback, silent
+from ..scenes.reference import Reference
+from ..scenes.views import goniometer
+from .laplacian import Laplacian
+from .losses import frame_loss, image_loss, srgb
+from .pool import ViewPool
+from .schedules import exponential, laplacian_weight, resolution_at
+from .texels import TexelAdam
+from .vertices import VertexSteps
+
+log = logging.getLogger("mi_simplify")
+
+
+@dataclass
+class FitResult:
+    """
+    The fitted model, in the frame of the first guess, and one record per logged step.
+    """
+
+    model: Model
+    log: list[dict] = field(default_factory=list)
+
+
+class Fit:
+    """
+    A run of the optimiser over one latent model.
+
+    Parameters
+    ----------
+    model : Model
+        First guess in the normalised frame (box of side 2, centre 0).
+    reference : Reference
+        Black box that renders views.
+    config : Config
+    """
+
+    def __init__(self, model: Model, reference: Reference, config: Config):
+        self.config = config
+        optimize, rates = set(config.latent.optimize), config.optimizer.rates
+        self.latent = Latent(model, extended=bool(optimize & {"opacity", "gamma"}) or model.alpha_mode != "OPAQUE")
+        mesh = self.latent.topology.mesh
+        self.renderer = DeferredRenderer(self.latent.topology, form=config.latent.shading)
+        large_steps = config.optimizer.large_steps
+        self.vertices = VertexSteps(
+            mesh.positions, mesh.position_faces, rates.vertices, large_steps.lambda_ if large_steps.enabled else 0.0
+        )
+        self.moves = "vertices" in optimize
+        color_rates = dict.fromkeys(("base_color", "opacity"), rates.base_color)
+        specular_rates = dict.fromkeys(("gamma", "roughness", "metallic"), rates.specular)
+        texel_rates = {**color_rates, **specular_rates, "normal": rates.normal}
+        self.texels = TexelAdam(
+            self.latent.textures, {k: v for k, v in texel_rates.items() if k in optimize}, config.latent.min_roughness
+        )
+        self.laplacian = Laplacian(mesh.position_faces, mesh.positions, config.loss.laplacian.relative)
+        self.loss = image_loss(config.loss.image)
+        self._coverage = dr.opaque(mi.Float, config.loss.coverage)
+        self._laplacian_start: float | None = None
+
+        view = config.views
+        draw = partial(
+            _draw, distance=view.distance, jitter=view.jitter, fov=view.fov, exponent=view.light.exponent,
+            irradiance=view.light.intensity / view.light.distance**2,
+        )  # fmt: skip
+        self.pool = ViewPool(reference, draw, config.reference.pool, np.random.default_rng(config.seed))
+        self.held_out = draw(min(config.evaluation.views, 4), np.random.default_rng(config.seed + 1), 128)
+        self._held_out_images = reference.render(self.held_out, seed=1)
+
+    def step(self, index: int) -> mi.Float:
+        """
+        One step; returns the image loss, width 1, not read back.
+        """
+        config, progress = self.config, index / max(1, self.config.optimizer.steps)
+        resolution = resolution_at(progress, config.optimizer.resolution)
+        batch = config.optimizer.batch
+        short = 2 * batch - len(self.pool) if self.pool.resolution == resolution else 2 * batch
+        self.pool.grow(max(config.reference.refresh, short), resolution)
+        views, reference = self.pool.batch(batch)
+        seed = dr.opaque(mi.UInt32, (config.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
+
+        positions = self.vertices.positions()
+        leaf = mi.Float(dr.detach(positions))
+        if self.moves:
+            self.renderer.move(leaf)
+            dr.enable_grad(leaf)
+        surface = self.latent.evaluate(leaf)
+        frame = self.renderer.render(surface, self.latent.textures, views, spp=config.optimizer.spp, seed=seed)
+
+        image = mi.Vector4f(frame.image)
+        dr.enable_grad(image)
+        loss = frame_loss(image, reference, self._background(dr.width(image), seed), self.loss, self._coverage)
+        dr.backward(loss)
+        grad_image, loss = dr.grad(image), dr.detach(loss)
+        dr.eval(grad_image, loss)
+
+        texel_grad = self.renderer.backward(frame, grad_image, self.latent.textures, leaf, surface, seed ^ 0x5BD1E995)
+        if self.moves and config.loss.laplacian.weight > 0:
+            dr.backward(self.laplacian.loss(leaf) * self._laplacian_weight(loss, progress))
+        factor = exponential(progress, config.optimizer.decay)
+        self.texels.step(texel_grad, dr.opaque(mi.Float, factor))
+        if self.moves:
+            self.vertices.step(dr.grad(leaf), positions, factor)
+        return loss
+
+    def _laplacian_weight(self, loss: mi.Float, progress: float) -> mi.Float:
+        laplacian = self.config.loss.laplacian
+        if self._laplacian_start is None:
+            self._laplacian_start = laplacian.weight * float(loss[0]) / max(self.laplacian.absolute_start, 1e-12)
+        return dr.opaque(mi.Float, self._laplacian_start * laplacian_weight(progress, laplacian.decay_to))
+
+    def _background(self, n: int, seed: mi.UInt32) -> mi.Color3f:
+        if self.config.views.background == "black":
+            return mi.Color3f(0)
+        pixel = dr.arange(mi.UInt32, n)
+        a, b = mi.sample_tea_32(pixel, seed + 17, 4)
+        c, _ = mi.sample_tea_32(pixel, seed + 18, 4)
+        return mi.Color3f(*(mi.Float(x) * 2.0**-32 for x in (a, b, c)))
+
+    def psnr(self) -> float:
+        """
+        Of held-out views [dB], clipped sRGB on black, mean over views.
+        """
+        with dr.suspend_grad():
+            positions = self.vertices.positions()
+            self.renderer.move(positions)
+            surface = self.latent.evaluate(positions)
+            seed = dr.opaque(mi.UInt32, 1)
+            frame = self.renderer.render(surface, self.latent.textures, self.held_out, spp=16, seed=seed)
+        image = frame.image.numpy().T.reshape(self._held_out_images.shape)
+        a, b = (np.asarray(srgb(mi.Float(np.clip(x[..., :3], 0, 1).ravel()))) for x in (image, self._held_out_images))
+        mse = ((a - b) ** 2).reshape(len(image), -1).mean(1)
+        return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-10))))
+
+    def model(self) -> Model:
+        """
+        The current state as a model.
+        """
+        return self.latent.model(dr.detach(self.vertices.positions()).numpy())
+
+
+def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance):
+    return goniometer(
+        n, rng, width=resolution, height=resolution, distance=distance, jitter=jitter, fov=fov,
+        light_exponent=exponent, irradiance=irradiance,
+    )  # fmt: skip
+
+
+def fit(
+    model: Model,
+    reference: Reference,
+    config: Config,
+    progress: ProgressCallback = silent,
+    on_step: Callable[[Fit, int], None] | None = None,
+) -> FitResult:
+    """
+    Optimise a first guess until it looks like the reference.
+
+    Minimises the expected image loss over random views (Hasselgren et al. 2021, Eq. 1 and 6).
+
+    Parameters
+    ----------
+    model : Model
+        First guess in the normalised frame.
+    reference : Reference
+    config : Config
+        Sections ``views``, ``optimizer``, ``loss``, ``latent``, ``reference.pool`` and ``evaluation.every`` are read.
+    progress : callable
+    on_step : callable, optional
+        ``on_step(fit, index)`` after every step: checkpoints, pictures.
+
+    Returns
+    -------
+    FitResult
+    """
+    run, records, start = Fit(model, reference, config), [], time.perf_counter()
+    n_steps, every = config.optimizer.steps, config.evaluation.every
+    for index in range(n_steps):
+        loss = run.step(index)
+        if (index + 1) % _LOG_EVERY == 0 or index + 1 == n_steps or index == 0:
+            record = {"step": index + 1, "loss": float(loss[0]), "seconds": round(time.perf_counter() - start, 3)}
+            if (index + 1) % every == 0 or index + 1 == n_steps:
+                record["psnr"] = run.psnr()
+            records.append(record)
+            progress(Progress("fit", index + 1, n_steps, record["loss"], record.get("psnr")))
+        if on_step is not None:
+            on_step(run, index)
+    return FitResult(run.model() if n_steps else model, records)
+
+
+#: Steps between two readings of the loss; each waits for the device.
+_LOG_EVERY = 10

@@ -1,0 +1,106 @@
+"""
+Image losses, per channel and pixel, and the one place where they are reduced and weighed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+
+from ..errors import ConfigError
+
+
+def srgb(x):
+    """
+    The sRGB transfer function Γ of linear values >= 0 (Hasselgren et al. 2021, Eq. 4).
+    """
+    # The root has no finite derivative at 0, where the linear branch is taken anyway.
+    return dr.select(x <= 0.0031308, 12.92 * x, 1.055 * dr.power(dr.maximum(x, 0.0031308), 1 / 2.4) - 0.055)
+
+
+def tonemap_log(x):
+    """
+    ``Γ(log(x + 1))``: robust to the full range of radiance (Hasselgren et al. 2021, Sect. 5.3).
+    """
+    return srgb(dr.log(dr.maximum(x, 0) + 1))
+
+
+def log_l1(image, reference):
+    """``|Γ(log(x+1)) - Γ(log(y+1))|``, the paper's loss."""
+    return dr.abs(tonemap_log(image) - tonemap_log(reference))
+
+
+def log_l2(image, reference):
+    """``(Γ(log(x+1)) - Γ(log(y+1)))²``."""
+    return dr.square(tonemap_log(image) - tonemap_log(reference))
+
+
+def l1(image, reference):
+    """``|x - y|``."""
+    return dr.abs(image - reference)
+
+
+def l2(image, reference):
+    """``(x - y)²``, the paper's choice for foliage."""
+    return dr.square(image - reference)
+
+
+def smape(image, reference):
+    """``|x - y| / (|x| + |y| + 0.01)`` (Vogels et al. 2018, Eq. 2)."""
+    return dr.abs(image - reference) / (dr.abs(image) + dr.abs(reference) + 0.01)
+
+
+def relative_l2(image, reference):
+    """``(x - y)² / (y² + 0.01)``: noisy targets do not bias it (Lehtinen et al. 2018)."""
+    return dr.square(image - reference) / (dr.square(reference) + 0.01)
+
+
+LOSSES: dict[str, Callable] = {f.__name__: f for f in (log_l1, log_l2, l1, l2, smape, relative_l2)}
+
+
+def image_loss(name: str) -> Callable:
+    """
+    The loss of this name.
+
+    Raises
+    ------
+    ConfigError
+        No such loss.
+    """
+    if name not in LOSSES:
+        raise ConfigError(f"loss.image: unknown loss '{name}', expected one of {', '.join(LOSSES)}")
+    return LOSSES[name]
+
+
+def compose(image: mi.Vector4f, background: mi.Color3f) -> mi.Color3f:
+    """
+    Premultiplied radiance and coverage over a background.
+    """
+    return mi.Color3f(image.xyz) + (1 - image.w) * background
+
+
+def frame_loss(image: mi.Vector4f, reference: mi.Vector4f, background: mi.Color3f, loss: Callable, coverage: float):
+    """
+    Mean loss of a batch of pixels over a shared background, plus the coverage term.
+
+    Parameters
+    ----------
+    image, reference : mi.Vector4f, width N
+        Premultiplied linear radiance and coverage.
+    background : mi.Color3f, width N
+        Linear radiance behind both.
+    loss : callable
+        One of :data:`LOSSES`.
+    coverage : float or mi.Float
+        Weight of the mean squared coverage difference; without it textures explain away holes and webs.
+
+    Returns
+    -------
+    mi.Float, width 1
+    """
+    n = dr.width(image)
+    per_pixel = dr.mean(loss(compose(image, background), compose(reference, background)))
+    per_pixel += coverage * dr.square(image.w - reference.w)
+    return dr.sum(per_pixel) / n

@@ -1,0 +1,71 @@
+"""
+Rendered reference views held ready, renewed while the fit runs, so that no step waits for a path tracer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mitsuba as mi
+import numpy as np
+
+from ..scenes.reference import Reference
+from ..scenes.views import Views
+
+
+class ViewPool:
+    """
+    A ring of views with their reference images.
+
+    Parameters
+    ----------
+    reference : Reference
+    draw : callable
+        ``draw(n, rng, resolution) -> Views``: random views, square of this side.
+    capacity : int
+        Views held at most.
+    rng : numpy.random.Generator
+        Of views and batches; its state is all that decides them.
+    """
+
+    def __init__(self, reference: Reference, draw: Callable, capacity: int, rng: np.random.Generator):
+        self.reference, self.draw, self.capacity, self.rng = reference, draw, capacity, rng
+        self.n_rendered = 0
+        self._views: list[dict[str, np.ndarray]] = []
+        self._images: list[np.ndarray] = []
+        self.resolution = 0
+        self._next = 0
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def grow(self, n: int, resolution: int) -> None:
+        """
+        Render ``n`` new views, in place of the oldest where the pool is full; empty it where the resolution changed.
+        """
+        if resolution != self.resolution:
+            self._views, self._images, self._next, self.resolution = [], [], 0, resolution
+        if n == 0:
+            return
+        views = self.draw(n, self.rng, resolution)
+        images = self.reference.render(views, seed=int(self.rng.integers(2**31)))
+        arrays = views.arrays()
+        for k in range(n):
+            view, image = {key: value[k] for key, value in arrays.items()}, images[k].astype(np.float16)
+            if len(self._images) < self.capacity:
+                self._views.append(view)
+                self._images.append(image)
+            else:
+                self._views[self._next], self._images[self._next] = view, image
+            self._next = (self._next + 1) % self.capacity
+        self.n_rendered += n
+
+    def batch(self, n: int) -> tuple[Views, mi.Vector4f]:
+        """
+        ``n`` different views of the pool (all of them where it holds fewer) and their images, width ``n·H·W``.
+        """
+        pick = self.rng.choice(len(self._images), size=n, replace=len(self._images) < n)
+        arrays = {key: np.stack([self._views[i][key] for i in pick]) for key in self._views[0]}
+        views = Views.from_arrays(arrays, self.resolution, self.resolution)
+        images = np.stack([self._images[i] for i in pick]).astype(np.float32).reshape(-1, 4)
+        return views, mi.Vector4f(np.ascontiguousarray(images.T))

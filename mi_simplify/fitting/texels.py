@@ -1,0 +1,87 @@
+"""
+Adam on the packed latent textures: one kernel for moments, step and projection.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from ..latent.textures import Textures
+
+
+class TexelAdam:
+    """
+    Adam (Kingma and Ba 2015) that leaves texels alone which the step's images did not show.
+
+    Moments and bias corrections count a texel's own updates, so that texels seen late start as gently as those
+    seen first, and texels never seen stay as they were.
+
+    Parameters
+    ----------
+    textures : Textures
+        Changed in place by :meth:`step`.
+    rates : dict
+        Learning rate at the start of ``base_color``, ``roughness``, ``metallic``, ``normal``, ``opacity``, ``gamma``; 0 keeps it.
+    min_roughness : float
+        Lower limit.
+    """
+
+    def __init__(self, textures: Textures, rates: dict[str, float], min_roughness: float, beta1=0.9, beta2=0.99):
+        self.textures, self.beta1, self.beta2 = textures, beta1, beta2
+        n = textures.width * textures.height
+        self.m = dr.zeros(mi.Float, n * textures.n_channels)
+        self.v = dr.zeros(mi.Float, n * textures.n_channels)
+        self.count = dr.zeros(mi.Float, n)
+        self._min_roughness = dr.opaque(mi.Float, min_roughness)
+        names = ("base_color",) * 3 + ("roughness", "metallic") + ("normal",) * 3 + ("opacity", "gamma")
+        per_channel = [rates.get(name, 0.0) for name in names] + [0.0, 0.0]
+        self._rates = [dr.opaque(mi.Float, r) for r in per_channel[: textures.n_channels]]
+        dr.eval(self.m, self.v, self.count)
+
+    def step(self, grad: mi.Float, factor: mi.Float) -> None:
+        """
+        One update.
+
+        Parameters
+        ----------
+        grad : mi.Float, width H·W·channels
+        factor : mi.Float, width 1, opaque
+            Of all rates.
+        """
+        textures, n = self.textures, self.textures.n_channels
+        texel = dr.arange(mi.UInt32, textures.width * textures.height)
+        load = lambda buffer: dr.gather(mi.ArrayXf, buffer, texel, shape=(n, dr.width(texel)))  # noqa: E731
+        g, x, m, v = load(grad), load(textures.data), load(self.m), load(self.v)
+        seen = dr.any(g != 0)
+        count = self.count + 1
+        m = dr.lerp(g, m, self.beta1)
+        v = dr.lerp(dr.square(g), v, self.beta2)
+        correct1 = dr.rcp(1 - dr.exp(count * dr.log(mi.Float(self.beta1))))
+        correct2 = dr.rcp(1 - dr.exp(count * dr.log(mi.Float(self.beta2))))
+        rates = mi.ArrayXf(self._rates) * factor
+        x = x - rates * (m * correct1) * dr.rsqrt(dr.maximum(v * correct2, 1e-24))
+        x = self._project(x)
+        for buffer, value in ((textures.data, x), (self.m, m), (self.v, v)):
+            dr.scatter(buffer, value, texel, seen)
+        self.count = dr.select(seen, count, self.count)
+        dr.eval(textures.data, self.m, self.v, self.count)
+
+    def _project(self, x: mi.ArrayXf) -> mi.ArrayXf:
+        """
+        Back into range: reflectances and weights in [0, 1], roughness above its limit, unit normals in the upper hemisphere.
+        """
+        unit = [dr.clip(x[k], 0, 1) for k in range(self.textures.n_channels)]
+        unit[3] = dr.clip(x[3], self._min_roughness, 1)
+        normal = mi.Vector3f(x[5], x[6], dr.maximum(x[7], 0.05))
+        normal *= dr.rsqrt(dr.maximum(dr.squared_norm(normal), 1e-12))
+        unit[5:8] = normal.x, normal.y, normal.z
+        return mi.ArrayXf(unit)
+
+    def state(self) -> dict:
+        """Arrays that a checkpoint keeps."""
+        return {"m": self.m.numpy(), "v": self.v.numpy(), "count": self.count.numpy()}
+
+    def restore(self, state: dict) -> None:
+        """Inverse of :meth:`state`."""
+        self.m, self.v, self.count = (mi.Float(state[k]) for k in ("m", "v", "count"))
