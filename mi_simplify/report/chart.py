@@ -1,0 +1,118 @@
+"""
+Curves of a run as inline SVG: no script, no file, colours from the page that holds them.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+WIDTH, HEIGHT = 560, 250
+LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40
+MOST_POINTS = 400
+"""Longer curves are thinned to this many buckets, each drawn as its mean."""
+
+
+def line_chart(
+    x: Sequence[float], y: Sequence[float], *, x_label: str, y_label: str, log: bool = False, css: str = "curve"
+) -> str:
+    """
+    One curve with axes, ticks and a tooltip at its last value.
+
+    Parameters
+    ----------
+    x, y : sequence of float
+        Points; those that are not finite (or not positive on a log axis) are left out.
+    x_label, y_label : str
+        Name and unit of the axes.
+    log : bool
+        Logarithmic y axis.
+    css : str
+        Class of the ``<svg>``.
+
+    Returns
+    -------
+    str
+        An ``<svg>`` element, or an empty string where no point is left.
+    """
+    points = np.array([np.asarray(x, np.float64), np.asarray(y, np.float64)])
+    points = points[:, np.isfinite(points).all(0) & ((points[1] > 0) | (not log))]
+    if not points.shape[1]:
+        return ""
+    last = points[1, -1]
+    if log:
+        points[1] = np.log10(points[1])
+    points = _thinned(points)
+    (x0, x1), (y0, y1) = _range(points[0]), _range(points[1], margin=0.05)
+    x0 = 0.0 if 0 < x0 < 0.1 * x1 else x0  # step 1 of many starts at the origin
+    to_x = lambda v: LEFT + (v - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT)  # noqa: E731
+    to_y = lambda v: HEIGHT - BOTTOM - (v - y0) / (y1 - y0) * (HEIGHT - TOP - BOTTOM)  # noqa: E731
+
+    parts = []
+    for value, text in log_ticks(y0, y1) if log else ticks(y0, y1):
+        at = f"{to_y(value):.1f}"
+        parts.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at}" y2="{at}"/>')
+        parts.append(f'<text class="tick" x="{LEFT - 8}" y="{at}" text-anchor="end" dy="0.32em">{text}</text>')
+    for value, text in ticks(x0, x1):
+        at = f"{to_x(value):.1f}"
+        parts.append(f'<text class="tick" x="{at}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{text}</text>')
+    axis = HEIGHT - BOTTOM
+    parts.append(f'<line class="axis" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{axis}" y2="{axis}"/>')
+    line = " ".join(f"{to_x(a):.1f},{to_y(b):.1f}" for a, b in points.T)
+    parts.append(f'<polyline class="line" points="{line}"/>')
+    end = f'cx="{to_x(points[0, -1]):.1f}" cy="{to_y(points[1, -1]):.1f}"'
+    parts.append(f'<circle class="end" r="3.5" {end}><title>{last:.6g}</title></circle>')
+    middle, text = (LEFT + WIDTH - RIGHT) / 2, html.escape(x_label)
+    parts.append(f'<text class="label" x="{middle:.0f}" y="{HEIGHT - 4}" text-anchor="middle">{text}</text>')
+    name = html.escape(f"{y_label} against {x_label}")
+    return (
+        f'<svg class="{html.escape(css)}" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{name}">'
+        + "".join(parts)
+        + "</svg>"
+    )
+
+
+def ticks(low: float, high: float, n: int = 5) -> list[tuple[float, str]]:
+    """
+    About ``n`` round values in a range, each with its text.
+    """
+    rough = (high - low) / n
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(s * power for s in (1, 2, 2.5, 5, 10) if s * power >= rough * (1 - 1e-9))
+    values = step * np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    return [(float(v), f"{v + 0.0:g}") for v in np.round(values, 12)]
+
+
+def log_ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """
+    Ticks of an axis of decimal logarithms: whole powers, with 2 and 5 (or all digits) between where they are few.
+    """
+    for digits in ((1,), (1, 2, 5), range(1, 10)):
+        powers = range(math.floor(low), math.ceil(high) + 1)
+        values = [d * 10.0**p for p in powers for d in digits if low <= math.log10(d) + p <= high]
+        if len(values) >= 3:
+            return [(math.log10(v), f"{v:g}") for v in values]
+    return [(v, f"{10**v:.3g}") for v in np.linspace(low, high, 5).tolist()]
+
+
+def _range(values: np.ndarray, margin: float = 0.0) -> tuple[float, float]:
+    """Smallest and largest value, apart even where there is only one."""
+    low, high = float(values.min()), float(values.max())
+    if high - low < 1e-9 * max(1.0, abs(high)):
+        low, high = low - 0.5, high + 0.5
+    pad = margin * (high - low)
+    return low - pad, high + pad
+
+
+def _thinned(points: np.ndarray) -> np.ndarray:
+    """Means over equal runs of points, (2, n) to (2, at most MOST_POINTS); the last point stays."""
+    n = points.shape[1]
+    if n <= MOST_POINTS:
+        return points
+    edges = np.linspace(0, n, MOST_POINTS, dtype=np.int64)[:-1]
+    counts = np.diff(np.append(edges, n))
+    means = np.add.reduceat(points, edges, axis=1) / counts
+    return np.concatenate([means, points[:, -1:]], axis=1)

@@ -1,0 +1,148 @@
+"""
+How alike two sets of images are: PSNR, FLIP and silhouette error.
+
+All take linear images on black and compare what a screen shows: clipped, sRGB. These are the
+definitions of the project's judge, so the figures can be set beside its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import flip_evaluator
+import numpy as np
+
+COVERED = 0.5
+"""Coverage from which a pixel counts as covered."""
+
+
+def tonemap(linear: np.ndarray) -> np.ndarray:
+    """
+    What a screen shows of linear radiance: clipped to [0, 1], sRGB curve, no exposure.
+
+    Parameters
+    ----------
+    linear : ndarray, shape (..., C), C >= 3
+        Linear RGB; further channels are dropped.
+
+    Returns
+    -------
+    ndarray, shape (..., 3), float32
+        sRGB in [0, 1].
+    """
+    x = np.clip(np.asarray(linear)[..., :3], 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055).astype(np.float32)
+
+
+def psnr(reference: np.ndarray, candidate: np.ndarray) -> np.ndarray:
+    """
+    Peak signal-to-noise ratio of the tone-mapped images, per view.
+
+    Parameters
+    ----------
+    reference, candidate : ndarray, shape (B, H, W, C), C >= 3
+        Linear radiance.
+
+    Returns
+    -------
+    ndarray, shape (B,), float64
+        [dB]; 100 where the images are equal. The figure for a set of views is the mean of these.
+    """
+    a, b = _pair(reference, candidate)
+    mse = ((tonemap(a) - tonemap(b)) ** 2).mean((1, 2, 3), dtype=np.float64)
+    return -10.0 * np.log10(np.maximum(mse, 1e-10))
+
+
+def flip_maps(reference: np.ndarray, candidate: np.ndarray) -> np.ndarray:
+    """
+    FLIP error per pixel (Andersson et al. 2020, LDR, 67 pixels per degree).
+
+    Parameters
+    ----------
+    reference, candidate : ndarray, shape (B, H, W, C), C >= 3
+        Linear radiance.
+
+    Returns
+    -------
+    ndarray, shape (B, H, W), float32
+        0 where no difference is seen, 1 at most.
+    """
+    a, b = _pair(reference, candidate)
+    maps = [
+        flip_evaluator.evaluate(
+            np.ascontiguousarray(x), np.ascontiguousarray(y), "LDR", applyMagma=False, computeMeanError=False
+        )[0]
+        for x, y in zip(tonemap(a), tonemap(b), strict=True)
+    ]
+    return np.asarray(maps, np.float32).reshape(a.shape[:3])
+
+
+def flip(reference: np.ndarray, candidate: np.ndarray) -> np.ndarray:
+    """
+    Mean FLIP error per view, shape (B,); see :func:`flip_maps`.
+    """
+    return flip_maps(reference, candidate).mean((1, 2), dtype=np.float64)
+
+
+def silhouette_error(reference_coverage: np.ndarray, candidate_coverage: np.ndarray) -> float:
+    """
+    Pixels that only one of the two covers, over pixels that the reference covers; all views pooled.
+
+    Parameters
+    ----------
+    reference_coverage, candidate_coverage : ndarray, any one shape
+        In [0, 1]; a pixel is covered from 0.5 on.
+
+    Returns
+    -------
+    float
+        0 for equal outlines; may exceed 1.
+    """
+    a, b = _pair(reference_coverage, candidate_coverage)
+    a, b = a > COVERED, b > COVERED
+    return float(np.count_nonzero(a != b) / max(1, np.count_nonzero(a)))
+
+
+def compare(reference: np.ndarray, candidate: np.ndarray) -> dict[str, object]:
+    """
+    All figures of one candidate.
+
+    Parameters
+    ----------
+    reference, candidate : ndarray, shape (B, H, W, 4)
+        Linear radiance on black, and coverage.
+
+    Returns
+    -------
+    dict
+        ``psnr`` [dB], ``flip``, ``silhouette_error`` over all views, and the same names under
+        ``per_view``, each a list of B numbers.
+    """
+    a, b = _pair(reference, candidate)
+    per_view = {
+        "psnr": psnr(a, b).tolist(),
+        "flip": flip(a, b).tolist(),
+        "silhouette_error": [silhouette_error(x, y) for x, y in zip(a[..., 3], b[..., 3], strict=True)],
+    }
+    return {
+        "psnr": float(np.mean(per_view["psnr"])),
+        "flip": float(np.mean(per_view["flip"])),
+        "silhouette_error": silhouette_error(a[..., 3], b[..., 3]),
+        "per_view": per_view,
+    }
+
+
+def worse_than(figures: Mapping[str, float], baseline: Mapping[str, float]) -> list[str]:
+    """
+    Names of the figures in which ``figures`` loses to ``baseline``; empty where it is worse in nothing.
+    """
+    better_high = {"psnr": True, "flip": False, "silhouette_error": False}
+    return [k for k, high in better_high.items() if (figures[k] < baseline[k] if high else figures[k] > baseline[k])]
+
+
+def _pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two arrays of one shape."""
+    a, b = np.asarray(a), np.asarray(b)
+    if a.shape != b.shape:
+        raise ValueError(f"images of one shape expected, got {a.shape} and {b.shape}")
+    return a, b

@@ -1,0 +1,230 @@
+"""Pictures, curves, the HTML report, and the project's own judge."""
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mi_simplify.errors import AssetError, OutputError
+from mi_simplify.latent.model import Model
+from mi_simplify.report.chart import line_chart, log_ticks, ticks
+from mi_simplify.report.evaluate import Comparison, compare_assets, evaluate
+from mi_simplify.report.html import write_report
+from mi_simplify.report.metrics import compare
+from mi_simplify.report.pictures import (
+    comparison_columns,
+    contact_sheet,
+    coverage_errors,
+    flip_pictures,
+    shown,
+    signed_difference,
+)
+from mi_simplify.scenes.asset import Asset, Instance, Material, Part
+
+
+def disc(radius: float, brightness: float = 0.5) -> np.ndarray:
+    """Two pictures, 24 x 32, of a grey disc on black."""
+    y, x = np.mgrid[:24, :32] - np.array([11.5, 15.5])[:, None, None]
+    inside = (x**2 + y**2 < radius**2).astype(np.float32)
+    return np.repeat((inside[..., None] * np.float32([brightness] * 3 + [1]))[None], 2, 0)
+
+
+@pytest.fixture
+def comparison() -> Comparison:
+    """A reference with two candidates, the second one better."""
+    reference, candidates = disc(9), {"first guess": disc(8, 0.4), "result <1>": disc(9, 0.49)}
+    figures = {
+        "settings": {"spp": 16},
+        "reference": {"name": "disc", "triangles": 100_000},
+        "candidates": {name: {"triangles": 500, **compare(reference, c)} for name, c in candidates.items()},
+    }
+    return Comparison(reference, candidates, figures)
+
+
+# --- pictures -----------------------------------------------------------------------------------------------------
+
+
+def test_signed_difference_is_red_where_too_bright_and_blue_where_too_dim():
+    bright, dim = signed_difference(disc(9), disc(9, 0.9)), signed_difference(disc(9), disc(9, 0.1))
+    assert tuple(bright[0, 0, 0]) == tuple(dim[0, 0, 0]) == (128, 128, 128)
+    r, _, b = bright[0, 12, 16].astype(int)
+    assert r > 200 and b < 60
+    r, _, b = dim[0, 12, 16].astype(int)
+    assert b > 200 and r < 60
+
+
+def test_coverage_errors_tell_the_two_sides_apart():
+    larger, smaller = coverage_errors(disc(6), disc(9)), coverage_errors(disc(9), disc(6))
+    ring = (slice(None), 12, 16 + 7)
+    assert larger[ring][0].argmax() == 0 and smaller[ring][0].argmax() == 2  # red, blue
+    np.testing.assert_array_equal(larger[0, 12, 16], smaller[0, 12, 16])  # covered by both
+    assert np.ptp(larger[0, 12, 16].astype(int)) < 8
+
+
+def test_flip_pictures_are_dark_where_nothing_is_seen():
+    pictures = flip_pictures(disc(9), disc(9))
+    assert pictures.shape == (2, 24, 32, 3) and pictures.max() < 10
+    assert flip_pictures(disc(9), disc(9, 0.1))[0, 12, 16].max() > 100
+
+
+def test_contact_sheet_holds_the_pictures(comparison):
+    columns = comparison_columns(comparison.reference, comparison.candidates)
+    names = ["reference", "first guess", "result <1>", "difference", "coverage errors", "FLIP"]
+    assert [c.name for c in columns] == names
+    sheet = np.asarray(contact_sheet(comparison.reference, comparison.candidates))
+    enlarged = shown(comparison.reference)[0].repeat(5, 0).repeat(5, 1)
+    windows = np.lib.stride_tricks.sliding_window_view(sheet[:200, :220, 0], enlarged.shape[:2])
+    assert (windows == enlarged[..., 0]).all((2, 3)).sum() == 1
+
+
+# --- curves -------------------------------------------------------------------------------------------------------
+
+
+def test_ticks_are_round_and_inside():
+    assert ticks(0, 700) == [(0, "0"), (200, "200"), (400, "400"), (600, "600")]
+    assert [t for _, t in ticks(26.2, 34.1)] == ["28", "30", "32", "34"]
+    assert [t for _, t in log_ticks(-2, 1)] == ["0.01", "0.1", "1", "10"]
+    assert [t for _, t in log_ticks(-1.8, -0.5)] == ["0.02", "0.05", "0.1", "0.2"]
+    assert len(log_ticks(-1.001, -1.0)) >= 2
+
+
+@pytest.mark.parametrize("n", [1, 2, 1000])
+def test_chart_is_well_formed_and_inside_its_frame(n):
+    y = 10.0 ** -np.linspace(0, 3, n)
+    root = ElementTree.fromstring(line_chart(np.arange(n), y, x_label="step", y_label="loss", log=True))
+    line = next(e for e in root if e.tag == "polyline").attrib["points"]
+    points = np.array([p.split(",") for p in line.split()], float)
+    assert len(points) <= 401
+    width, height = (float(v) for v in root.attrib["viewBox"].split()[2:])
+    assert (points >= 0).all() and (points[:, 0] <= width).all() and (points[:, 1] <= height).all()
+    assert (np.diff(points[:, 1]) >= 0).all(), "a falling curve falls on the page"
+
+
+def test_chart_leaves_out_what_cannot_be_drawn():
+    assert line_chart([1, 2], [np.nan, -1.0], x_label="step", y_label="loss", log=True) == ""
+    assert "nan" not in line_chart([1, 2, 3], [1.0, np.nan, 2.0], x_label="step", y_label="loss")
+
+
+# --- HTML ---------------------------------------------------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """Pictures, section ids and references of a page, and whether its elements close."""
+
+    VOID = {"meta", "img", "br"}
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.images, self.sections, self.links, self.scripts, self.open = [], [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        if tag not in self.VOID:
+            self.open.append(tag)
+        if tag == "img":
+            self.images.append(attrs)
+        if tag == "section":
+            self.sections.append(attrs["id"])
+        if tag == "script":
+            self.scripts.append(attrs.get("type"))
+        self.links += [v for k, v in attrs.items() if k in ("src", "href") and not v.startswith("data:")]
+
+    def handle_startendtag(self, tag, attrs):
+        pass
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def test_report_is_one_well_formed_file(comparison, tmp_path):
+    rng = np.random.default_rng(0)
+    specular = np.concatenate([rng.random((9, 30, 1)), rng.random((9, 30, 2))], 2)
+    model = Model(None, rng.random((9, 30, 4)), specular, np.zeros((9, 30, 3)) + [0, 0, 1], alpha_mode="MASK")
+    log = [
+        {"step": k, "loss": 1 / k, "seconds": 0.5 * k} | ({"psnr": 30.0 + k} if k % 5 == 0 else {})
+        for k in range(1, 99)
+    ]
+    path = write_report(
+        tmp_path / "report.html",
+        comparison,
+        title="</title><script>alert(1)</script>",
+        summary="a & b",
+        model=model,
+        settings={"asset": "<spot>.obj", "reference": {"spp": 32}},
+        log=log,
+        files=[tmp_path / "missing.glb", __file__],
+        notes=["<img src=x onerror=alert(1)>"],
+    )
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert not page.open and not page.links
+    assert page.sections == ["summary", "views", "figures", "curves", "textures", "notes", "files", "settings"]
+    assert len(page.images) == 2 * 6 + 6, "views, and base colour, roughness, metal, normal, opacity, gamma"
+    assert all(image["src"].startswith("data:image/png;base64,") for image in page.images)
+    assert page.scripts == ["application/json"]
+    assert "<script>alert" not in text and "&lt;spot&gt;.obj" in text and "49 s" in text
+    (data,) = re.findall(r'id="report-data">(.*?)</script>', text)
+    assert json.loads(data) == comparison.figures
+    assert text.count("<svg") == 2
+
+
+def test_report_needs_no_more_than_a_comparison(comparison, tmp_path):
+    page = Page(write_report(tmp_path / "report.html", comparison, title="disc").read_text(encoding="utf-8"))
+    assert page.sections == ["summary", "views", "figures"]
+
+
+# --- evaluate -----------------------------------------------------------------------------------------------------
+
+
+def octahedron(scale: float = 1.0, color: float = 0.5) -> Asset:
+    """A small closed asset."""
+    vertices = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float) * scale
+    faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
+    material = Material(base_color=np.float32([[[color, color, color, 1]]]))
+    return Asset((Part(vertices, np.array(faces), material=material),), (Instance(0),), name="octahedron")
+
+
+def test_evaluate_ranks_candidates_and_writes_its_files(tmp_path):
+    told = []
+    candidates = {"same": octahedron(), "dark": octahedron(color=0.4), "small": octahedron(0.9)}
+    settings = dict(n_views=3, resolution=48, spp=16, seed=4)
+    figures = evaluate(octahedron(), candidates, **settings, out=tmp_path / "out", progress=told.append)
+    by_name = figures["candidates"]
+    assert by_name["same"]["psnr"] > 50 and by_name["same"]["silhouette_error"] == 0, "the same noise on both sides"
+    assert by_name["dark"]["silhouette_error"] == 0 and by_name["dark"]["flip"] > by_name["same"]["flip"]
+    assert by_name["small"]["silhouette_error"] == pytest.approx(1 - 0.81, abs=0.06)
+    assert by_name["small"]["psnr"] < by_name["dark"]["psnr"]
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text()) == figures
+    assert Image.open(tmp_path / "out" / "contact_sheet.png").size[0] > 8 * 48
+    assert [(p.step, p.n_steps) for p in told] == [(k, 12) for k in range(1, 13)]
+    assert figures["reference"]["triangles"] == 8 and figures["settings"]["seed"] == 4
+
+
+def test_noise_is_far_below_what_is_measured():
+    views = dict(n_views=2, resolution=48, spp=64)
+    images = [compare_assets(octahedron(), {}, **views, seed=0).reference for _ in range(2)]
+    np.testing.assert_array_equal(*images)
+    lit = images[0][images[0][..., 3] == 1][:, :3]
+    assert 0.02 < lit.mean() < 1 and np.isfinite(lit).all()
+
+
+def test_evaluate_of_an_invisible_reference_is_an_error():
+    part = octahedron().parts[0]
+    clear = Material(base_color=np.zeros((1, 1, 4), np.float32), alpha_mode="BLEND")
+    ghost = Asset((replace(part, material=clear),), (Instance(0),), name="ghost")
+    with pytest.raises(AssetError, match="ghost: no held-out view shows anything"):
+        evaluate(ghost, {"same": ghost}, n_views=1, resolution=16, spp=2)
+
+
+def test_an_unwritable_folder_is_found_before_rendering(tmp_path):
+    (tmp_path / "file").write_text("")
+    told = []
+    with pytest.raises(OutputError, match="cannot write"):
+        evaluate(octahedron(), {"same": octahedron()}, out=tmp_path / "file", progress=told.append)
+    assert not told
