@@ -49,7 +49,7 @@ tbody th { font-weight: 500; }
 
 .views { display: grid; gap: 10px 8px; min-width: max(100%, calc(var(--columns) * 130px)); }
 .views { grid-template-columns: 1.6em repeat(var(--columns), minmax(0, 1fr)); align-items: start; }
-.views .head { color: var(--soft); font-size: 13.5px; padding-bottom: 2px; }
+.views .head { overflow-wrap: anywhere; color: var(--soft); font-size: 13.5px; padding-bottom: 2px; }
 .views .row { color: var(--soft); font-size: 13.5px; align-self: center; }
 figure { margin: 0; }
 figure img { display: block; width: 100%; height: auto; border-radius: 6px; background: #000; }
