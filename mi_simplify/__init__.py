@@ -7,7 +7,8 @@ variant that anyone sets::
 
     import mi_simplify as ms
 
-    asset = ms.load_asset("statue.obj")
+    config = ms.load_config(overrides=["asset=statue.obj", "initial.triangles=2000"])
+    result = ms.run_job(config, "out/statue")
 """
 
 from __future__ import annotations
@@ -26,11 +27,18 @@ _EXPORTS = {
     "Config": "config",
     "Model": "latent.model",
     "UserError": "errors",
+    "bake": "initial",
     "doctor": "diagnosis",
     "dump": "config",
+    "evaluate": "report",
     "export_model": "export",
+    "first_guess": "initial",
+    "fit": "fitting",
+    "load_asset": "scenes.load",
     "load_config": "config",
     "make_reference": "scenes.reference",
+    "open_asset": "job",
+    "run_job": "job",
 }
 
 __all__ = ["choose_llvm", "ensure_variant", *_EXPORTS]

@@ -67,10 +67,11 @@ def _options(*options: Callable) -> Callable:
     return lambda command: functools.reduce(lambda f, option: option(f), reversed(options), command)
 
 
+_VARIANT = click.option("--variant", metavar="NAME", help="Mitsuba variant: llvm_ad_rgb or cuda_ad_rgb.")
 _JOB = _options(
     click.option("--preset", metavar="NAME", help="fast, balanced or best."),
     click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Override a config key; repeatable."),
-    click.option("--variant", metavar="NAME", help="Mitsuba variant: llvm_ad_rgb or cuda_ad_rgb."),
+    _VARIANT,
 )
 _OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
 _OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the run that OUT holds.")
@@ -129,6 +130,87 @@ def _run(config, overrides, preset, variant, out, overwrite, quiet) -> None:
         result = run_job(settings, out, progress, overwrite=overwrite)
     if not quiet:
         print(result.summary())
+
+
+@cli.command()
+@click.argument("reference")
+@click.argument("lowpoly")
+@_OUT
+@click.option("--atlas-size", type=click.IntRange(16, 8192), default=1024, show_default=True, help="Texture side.")
+@_VARIANT
+@_OVERWRITE
+@_QUIET
+def bake(reference, lowpoly, out, atlas_size, variant, overwrite, quiet) -> None:
+    """
+    Bake the look of REFERENCE into textures for LOWPOLY, a mesh of yours in the same place.
+    """
+    from .job import bake_job
+
+    with _progress(quiet) as progress:
+        files = bake_job(
+            reference, lowpoly, out or _default_folder(lowpoly), progress,
+            atlas_size=atlas_size, variant=variant, overwrite=overwrite,
+        )  # fmt: skip
+    if not quiet:
+        print("\n".join(str(path) for path in files.values()))
+
+
+@cli.command()
+@click.argument("reference")
+@click.argument("candidates", nargs=-1, required=True)
+@click.option("--out", "-o", metavar="FOLDER", help="Also write figures and pictures there.")
+@click.option("--views", type=click.IntRange(1, 1024), default=8, show_default=True, help="Held-out views.")
+@click.option("--resolution", type=click.IntRange(16, 8192), default=256, show_default=True, help="Image side [px].")
+@click.option("--spp", type=click.IntRange(1, 65536), default=64, show_default=True, help="Samples per pixel.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Only figures of one seed compare.")
+@_VARIANT
+@_OVERWRITE
+@_QUIET
+def evaluate(reference, candidates, out, views, resolution, spp, seed, variant, overwrite, quiet) -> None:
+    """
+    Measure how much each of CANDIDATES looks like REFERENCE: PSNR, FLIP, silhouette error.
+    """
+    from .job import evaluate_job, figure_rows
+
+    with _progress(quiet) as progress:
+        figures = evaluate_job(
+            reference, candidates, out, progress,
+            n_views=views, resolution=resolution, spp=spp, seed=seed, variant=variant, overwrite=overwrite,
+        )  # fmt: skip
+    print("\n".join(figure_rows(figures)))
+
+
+@cli.command()
+@click.argument("asset")
+@click.option("--out", "-o", metavar="IMAGE", required=True, help="A .png (sRGB) or .exr (linear) file.")
+@click.option("--resolution", type=click.IntRange(16, 8192), default=512, show_default=True, help="Image side [px].")
+@click.option("--spp", type=click.IntRange(1, 65536), default=64, show_default=True, help="Samples per pixel.")
+@click.option("--azimuth", type=float, default=30.0, show_default=True, help="Camera direction around +Y [degrees].")
+@click.option("--elevation", type=float, default=20.0, show_default=True, help="Camera height [degrees].")
+@_VARIANT
+def render(asset, out, resolution, spp, azimuth, elevation, variant) -> None:
+    """
+    Render ASSET once: a model file, sample:relic, or the asset of a YAML config under its transport.
+    """
+    settings: dict[str, Any] = {}
+    if Path(asset).suffix.lower() in (".yaml", ".yml"):
+        from .config import load_config
+
+        config = load_config(asset)
+        asset, variant = config.asset, variant or config.variant
+        settings = {"transport": config.reference.transport, "max_depth": config.reference.max_depth}
+    from . import picture
+    from .output import check_writable
+    from .runtime import ensure_variant
+
+    check_writable(picture.check_picture_path(out))
+    ensure_variant(variant)
+    from .job import open_asset
+
+    image = picture.render_picture(
+        open_asset(asset), spp=spp, resolution=resolution, azimuth=azimuth, elevation=elevation, **settings
+    )
+    picture.save_picture(image, out)
 
 
 @cli.command()

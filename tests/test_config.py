@@ -39,11 +39,12 @@ def write(folder: Path, text: str) -> Path:
         ("optimizer=3", "^optimizer: is a section, "),
         ("views.fov=.nan", "^views.fov: should be a finite number"),
         ("views.fov=180", "^views.fov: should be less than 180, got 180$"),
-        ("reference.transport=full", "^reference.transport: should be 'direct', 'baked' or 'matched', got 'full'$"),
+        ("reference.transport=full", "^reference.transport: should be 'direct' or 'baked', got 'full'$"),
         ("latent.optimize=[normals]", "^latent.optimize.0: should be 'vertices', .*got 'normals'$"),
         ("latent.optimize=[normal, normal]", "^latent.optimize: should name nothing twice$"),
         ("initial.triangles=3", "^initial.triangles: should be greater than or equal to 4, got 3$"),
         ("initial.kind=mesh", "^initial: `kind: mesh` and `mesh: FILE` go together"),
+        ("reference.environment=sky.exr", "^reference: `environment` lights the reference alone"),
         ("variant=scalar_rgb", "^variant: should be 'llvm_ad_rgb' or 'cuda_ad_rgb', got 'scalar_rgb'$"),
         ("preset=fst", "^preset: unknown preset 'fst', did you mean 'fast'?; one of fast, balanced, best$"),
         ("optimizer.steps", "an override reads key.subkey=value"),
@@ -117,7 +118,7 @@ def test_relative_paths_follow_the_file_that_holds_them(tmp_path, monkeypatch):
     folder.mkdir()
     path = write(
         folder,
-        "asset: ../model.obj\nreference: {environment: sky.exr}\ninitial: {kind: mesh, mesh: /abs/low.ply}\n",
+        "asset: ../model.obj\nreference: {transport: baked, environment: sky.exr}\ninitial: {kind: mesh, mesh: /abs/low.ply}\n",
     )
     monkeypatch.chdir(tmp_path)
     config = load_config(path)

@@ -59,17 +59,24 @@ class Section(BaseModel):
 class Reference(Section):
     """How the target images are rendered."""
 
-    transport: Literal["direct", "baked", "matched"] = Field(
+    transport: Literal["direct", "baked"] = Field(
         "direct",
         description="`direct`: direct light without shadows on both sides, materials stay clean. `baked`: full path "
-        "tracing, shadows and indirect light end up in the textures. `matched`: full path tracing, the part that the "
-        "fit cannot render added as a constant.",
+        "tracing, shadows and indirect light end up in the textures.",
     )
     spp: int = Field(32, ge=1, le=65536, description="Samples per pixel of a reference image.")
     max_depth: int = Field(6, ge=2, le=1024, description="Longest light path, in edges; only path tracing reads it.")
     pool: int = Field(128, ge=1, description="Rendered views held ready; a step draws its batch from them.")
     refresh: int = Field(4, ge=0, description="Views of the pool rendered anew per step; 0 keeps the first ones.")
-    environment: FilePath | None = Field(None, description="Environment map (EXR or HDR) besides the point light.")
+    environment: FilePath | None = Field(
+        None, description="Environment map (EXR or HDR) besides the point light; only with `transport: baked`."
+    )
+
+    @model_validator(mode="after")
+    def _environment_is_baked(self) -> Reference:
+        if self.environment is not None and self.transport != "baked":
+            raise ValueError("`environment` lights the reference alone, so it needs `transport: baked`")
+        return self
 
 
 class Initial(Section):
@@ -107,7 +114,9 @@ class Latent(Section):
 class Light(Section):
     """The one point light of a view."""
 
-    distance: float = Field(3.5, gt=0, description="Distance from the centre.")
+    distance: float = Field(
+        3.5, gt=0, description="Distance at which `intensity` is felt; the light stands as far off as the camera."
+    )
     exponent: float = Field(1.0, ge=0, description="Directions follow cos^exponent around the camera's; 0: evenly.")
     intensity: float = Field(30.0, gt=0, description="Radiant intensity [W/sr] per channel.")
 
@@ -116,7 +125,7 @@ class Views(Section):
     """Random cameras and lights."""
 
     distance: float = Field(3.5, gt=0, description="Camera distance from the centre.")
-    jitter: float = Field(0.25, ge=0, description="The distance varies evenly by up to this much, either way.")
+    jitter: float = Field(0.25, ge=0, description="Half side of the box around the centre that cameras look into.")
     fov: float = Field(45.0, gt=0, lt=180, description="Field of view [degrees].")
     light: Light = Light()
     background: Literal["random", "black"] = Field(

@@ -1,0 +1,330 @@
+"""
+The main job: from an asset to a small textured model in files, with the figures that judge it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from . import __version__
+from .config import SAMPLE_PREFIX, Config, dump
+from .errors import AssetError, MeshError
+from .export import export_model
+from .export.files import write_atomic
+from .fitting import Fit, FitResult, fit
+from .initial import first_guess
+from .latent.model import Model
+from .output import RunFolder
+from .progress import Progress, ProgressCallback, silent
+from .report.evaluate import compare_assets, save_comparison
+from .report.html import write_report
+from .runtime import ensure_variant
+from .scenes.asset import Asset
+from .scenes.load import load_asset
+from .scenes.reference import MitsubaReference, Reference, make_reference
+
+@dataclass(frozen=True)
+class Frame:
+    """
+    The normalised frame of an asset: its box has side 2 (the longest) and centre 0.
+
+    Parameters
+    ----------
+    scale : float
+        Normalised length of one unit of the file.
+    center : ndarray, shape (3,)
+        Centre of the asset's box [units of the file].
+    """
+
+    scale: float
+    center: np.ndarray
+
+    @staticmethod
+    def around(bounds: np.ndarray) -> Frame:
+        """
+        The frame of a box, shape (2, 3).
+        """
+        return Frame(2.0 / float((bounds[1] - bounds[0]).max()), bounds.mean(0))
+
+    def normalised(self, asset: Asset) -> Asset:
+        """
+        The asset in this frame.
+        """
+        to_frame = np.diag([self.scale, self.scale, self.scale, 1.0])
+        to_frame[:3, 3] = -self.scale * self.center
+        return asset.transformed(to_frame)
+
+    def restored(self, model: Model) -> Model:
+        """
+        A model of this frame back in the units of the file.
+        """
+        return model.transformed(1.0 / self.scale, self.center)
+
+
+@dataclass(frozen=True)
+class Result:
+    """
+    What a job made.
+
+    Parameters
+    ----------
+    folder : Path
+    guess, model : Model
+        First guess and result, in the units of the file.
+    figures : dict
+        What ``metrics.json`` holds.
+    """
+
+    folder: Path
+    guess: Model
+    model: Model
+    figures: dict
+
+    def summary(self) -> str:
+        """
+        A few lines for a person: where it is, how large, how much better than the first guess.
+        """
+        seconds = self.figures["run"]["seconds"]["total"]
+        return "\n".join([*figure_rows(self.figures), f"{self.folder}: done in {seconds:.0f} s"])
+
+
+def open_asset(name: str) -> Asset:
+    """
+    A model file, or the procedural sample that ``sample:NAME`` stands for.
+    """
+    if name.startswith(SAMPLE_PREFIX):
+        from .scenes.samples import make_sample
+
+        return make_sample(name.removeprefix(SAMPLE_PREFIX))
+    return load_asset(name)
+
+
+def guess_for(asset: Asset, config: Config, frame: Frame) -> tuple[Model, list[str]]:
+    """
+    The first guess that the configuration asks for.
+
+    Parameters
+    ----------
+    asset : Asset
+        In ``frame``, as the model that is returned.
+    config : Config
+    frame : Frame
+        Into which the mesh that the configuration names is brought.
+
+    Returns
+    -------
+    model : Model
+    notes : list of str
+    """
+    initial = config.initial
+    if initial.kind == "decimate" and initial.triangles > asset.n_triangles:
+        raise MeshError(
+            f"a budget of {initial.triangles} triangles is above the input's own {asset.n_triangles}; ask for fewer"
+        )
+    return first_guess(
+        asset,
+        triangles=initial.triangles,
+        atlas_size=initial.atlas_size,
+        textures=initial.textures,
+        kind=initial.kind,
+        init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh)),
+        seed=config.seed,
+    )
+
+
+def reference_for(asset: Asset, config: Config) -> MitsubaReference:
+    """
+    The renderer of the target images that the configuration asks for.
+    """
+    settings = config.reference
+    reference = make_reference(
+        asset, transport=settings.transport, spp=settings.spp, max_depth=settings.max_depth, form=config.latent.shading
+    )
+    if settings.environment is not None:
+        if not Path(settings.environment).is_file():
+            raise AssetError(f"the environment map '{settings.environment}' does not exist")
+        reference.shapes["environment"] = {"type": "envmap", "filename": settings.environment}
+    return reference
+
+
+def run_job(
+    config: Config, out: str | Path, progress: ProgressCallback = silent, *, overwrite: bool = False
+) -> Result:
+    """
+    Load, guess, fit, export, evaluate, report: everything that the command line does.
+
+    Parameters
+    ----------
+    config : Config
+    out : str or Path
+        Folder of the results; made once asset and first guess are known to be good.
+    progress : callable
+    overwrite : bool
+        Replace a run that ``out`` holds.
+
+    Raises
+    ------
+    UserError
+        The asset, the configuration, the output folder or this machine cannot be used; nothing is
+        left behind in ``out``.
+    KeyboardInterrupt
+        After writing the model as far as it was fitted.
+    """
+    folder = RunFolder(out, overwrite=overwrite)
+    variant = ensure_variant(config.variant)
+    config = config.model_copy(update={"variant": variant})
+    clock = _Stopwatch()
+    progress(Progress("load", message=config.asset))
+    asset = open_asset(config.asset)
+    frame = Frame.around(asset.bounds)
+    target = frame.normalised(asset)
+    clock.lap("load")
+    progress(Progress("first guess"))
+    guess, notes = guess_for(target, config, frame)
+    reference = reference_for(target, config)
+    clock.lap("first guess")
+    with folder.opened():
+        write_atomic(folder.path / "config.yaml", dump(config))
+        fitted = _fit(guess, reference, config, frame, folder, progress)
+        clock.lap("fit")
+        guess, model = frame.restored(guess), frame.restored(fitted.model)
+        progress(Progress("export"))
+        with folder.staged() as stage:
+            files = export_model(model, stage, formats=config.export.formats, extras=_facts(config))
+            clock.lap("export")
+            candidates = {"first guess": guess.as_asset(), "result": load_asset(next(iter(files.values())))}
+            judged = config.evaluation
+            comparison = compare_assets(
+                asset, candidates, n_views=judged.views, resolution=judged.resolution, spp=judged.spp,
+                seed=config.seed, progress=progress,
+            )  # fmt: skip
+            clock.lap("evaluate")
+            run = {**_facts(config), "variant": variant, "notes": notes, "seconds": clock.seconds}
+            comparison = replace(comparison, figures={**comparison.figures, "run": run})
+            save_comparison(comparison, stage)
+            write_report(
+                stage / "report.html", comparison, title=asset.name, model=model,
+                settings=config.model_dump(mode="json"), log=fitted.log, files=sorted(stage.iterdir()), notes=notes,
+            )  # fmt: skip
+    return Result(folder.path, guess, model, comparison.figures)
+
+
+def _fit(
+    guess: Model, reference: Reference, config: Config, frame: Frame, folder: RunFolder, progress: ProgressCallback
+) -> FitResult:
+    """The fit with its log; a keyboard interrupt leaves the model behind as far as it got."""
+    newest: list[tuple[Fit, int]] = []
+    start = time.perf_counter()
+
+    def logged(event: Progress) -> None:
+        seconds = round(time.perf_counter() - start, 3)
+        folder.log(stage=event.stage, step=event.step, loss=event.loss, psnr=event.psnr, seconds=seconds)
+        progress(event)
+
+    def remember(run: Fit, step: int) -> None:
+        newest[:] = [(run, step + 1)]
+
+    try:
+        return fit(guess, reference, config, logged, remember)
+    except KeyboardInterrupt:
+        if not newest:
+            raise
+        run, step = newest[0]
+        with folder.staged() as stage:
+            export_model(frame.restored(run.model()), stage, formats=config.export.formats, extras=_facts(config))
+        done = f"{folder.path} holds the model after {step} of {config.optimizer.steps} steps"
+        raise KeyboardInterrupt(done) from None
+
+
+def _facts(config: Config) -> dict[str, str]:
+    """What an exported file says of itself."""
+    return {"generator": f"mi_simplify {__version__}", "transport": config.reference.transport}
+
+
+def bake_job(
+    reference: str,
+    lowpoly: str,
+    out: str | Path,
+    progress: ProgressCallback = silent,
+    *,
+    atlas_size: int = 1024,
+    variant: str | None = None,
+    overwrite: bool = False,
+) -> dict[str, Path]:
+    """
+    Bake the look of one file into textures for the mesh of another, which stands in the same place.
+
+    Returns
+    -------
+    dict
+        Format to path of the models written.
+    """
+    folder = RunFolder(out, overwrite=overwrite)
+    ensure_variant(variant)
+    progress(Progress("load"))
+    asset, init = open_asset(reference), open_asset(lowpoly)
+    progress(Progress("bake"))
+    model, _ = first_guess(asset, triangles=init.n_triangles, atlas_size=atlas_size, kind="mesh", init=init)
+    progress(Progress("export"))
+    with folder.opened(), folder.staged() as stage:
+        files = export_model(model, stage, extras={"generator": f"mi_simplify {__version__}"})
+    return {name: folder.path / path.name for name, path in files.items()}
+
+
+def evaluate_job(
+    reference: str,
+    candidates: Sequence[str],
+    out: str | Path | None = None,
+    progress: ProgressCallback = silent,
+    *,
+    variant: str | None = None,
+    overwrite: bool = False,
+    **settings: int,
+) -> dict:
+    """
+    Judge files against a file; see :func:`mi_simplify.report.compare_assets` for the settings.
+
+    Returns
+    -------
+    dict
+        The figures, written as ``metrics.json`` with pictures where ``out`` is given.
+    """
+    folder = None if out is None else RunFolder(out, overwrite=overwrite)
+    ensure_variant(variant)
+    progress(Progress("load"))
+    assets = {name: open_asset(name) for name in candidates}
+    comparison = compare_assets(open_asset(reference), assets, progress=progress, **settings)
+    if folder is not None:
+        with folder.opened(), folder.staged() as stage:
+            save_comparison(comparison, stage)
+    return comparison.figures
+
+
+def figure_rows(figures: dict) -> list[str]:
+    """
+    One line of text for every candidate of ``metrics.json``.
+    """
+    width = max(len(name) for name in figures["candidates"])
+    return [
+        f"{name:{width}}  {row['triangles']:7} triangles  PSNR {row['psnr']:5.2f} dB  FLIP {row['flip']:.4f}"
+        f"  silhouette error {row['silhouette_error']:.4f}"
+        for name, row in figures["candidates"].items()
+    ]
+
+
+class _Stopwatch:
+    """Seconds of each stage, and in total."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {"total": 0.0}
+        self._start = self._lap = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.seconds[stage], self.seconds["total"] = round(now - self._lap, 2), round(now - self._start, 2)
+        self._lap = now

@@ -1,0 +1,89 @@
+"""
+One picture of an asset, to see that it was read the right way up.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+from .errors import OutputError
+from .export.files import write_atomic
+from .export.textures import png
+from .report.pictures import shown
+from .scenes.asset import Asset
+from .scenes.reference import make_reference
+from .scenes.views import Views, look_at
+
+SUFFIXES = (".png", ".exr")
+
+
+def portrait_view(bounds: np.ndarray, *, resolution: int = 512, azimuth: float = 30, elevation: float = 20) -> Views:
+    """
+    One camera that sees a whole box, lit from above its left shoulder.
+
+    Parameters
+    ----------
+    bounds : ndarray, shape (2, 3)
+    resolution : int
+        Width and height [px].
+    azimuth, elevation : float
+        Where the camera stands [degrees]: 0, 0 looks along -Z, the azimuth turns it towards +X.
+    """
+
+    def direction(azimuth: float, elevation: float) -> np.ndarray:
+        a, e = np.radians([azimuth, elevation])
+        return np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+
+    center, radius = bounds.mean(0), np.linalg.norm(bounds[1] - bounds[0]) / 2
+    light = center + 4 * radius * direction(azimuth - 30, elevation + 25)
+    return look_at(
+        center + 2.6 * radius * direction(azimuth, elevation), center, light,
+        width=resolution, height=resolution, irradiance=2.5,
+    )  # fmt: skip
+
+
+def render_picture(
+    asset: Asset, *, transport: str = "baked", spp: int = 64, max_depth: int = 6, seed: int = 0, **view: float
+) -> np.ndarray:
+    """
+    Render an asset once, under a point light and a dim sky.
+
+    Parameters
+    ----------
+    asset : Asset
+    transport, spp, max_depth
+        As in :func:`mi_simplify.scenes.reference.make_reference`.
+    view
+        As in :func:`portrait_view`.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 4), float32
+        Linear radiance on black, and coverage.
+    """
+    sky = 0.0 if transport == "direct" else 0.1
+    reference = make_reference(asset, transport=transport, spp=spp, max_depth=max_depth, sky=sky)
+    return reference.render(portrait_view(asset.bounds, **view), seed=seed)[0]
+
+
+def check_picture_path(path: str | Path) -> Path:
+    """
+    The path, if it names a format that :func:`save_picture` writes.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise OutputError(f"{path}: unknown image format; name the file {' or '.join('*' + s for s in SUFFIXES)}")
+    return path
+
+
+def save_picture(image: np.ndarray, path: str | Path) -> Path:
+    """
+    Write linear radiance, shape (H, W, 4), as sRGB PNG on black or as linear RGBA EXR.
+    """
+    path = check_picture_path(path)
+    if path.suffix.lower() == ".png":
+        return write_atomic(path, png(shown(image[None])[0]))
+    return write_atomic(path, lambda temporary: mi.Bitmap(np.ascontiguousarray(image)).write(str(temporary)))
