@@ -241,9 +241,10 @@ class _Lines:
             corner_line = np.repeat(line, counts)
             for column, keyword in enumerate((b"v", b"vt", b"vn")):
                 so_far = np.cumsum(self.of(keyword))[corner_line]
-                resolved = index[:, column] + so_far + 1
-                # What reaches back beyond the first stays an error instead of turning into "missing".
-                resolved = np.where(resolved < 1, np.iinfo(np.int64).max, resolved)
+                resolved = np.where(relative[:, column], index[:, column] + so_far + 1, 1)
+                if resolved.min() < 1:
+                    kind = keyword.decode()
+                    raise MeshError(f"{self.model}: a face counts back beyond the first '{kind}'; export it again")
                 index[:, column] = np.where(relative[:, column], resolved, index[:, column])
         return _Faces(index - 1, counts, line)
 
