@@ -29,7 +29,7 @@ def main(argv: list[str] | None = None) -> int:
     argv : list of str or None
         Arguments without the program's name; None takes those of the process.
     """
-    logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    logging.getLogger("mi_simplify").addHandler(_WARNINGS)
     argv = (sys.argv[1:] if argv is None else argv) or ["--help"]
     try:
         code = cli.main(args=argv, prog_name="mi-simplify", standalone_mode=False)
@@ -48,6 +48,16 @@ def main(argv: list[str] | None = None) -> int:
         traceback.print_exc()
         print("this is a defect of mi_simplify, please report it with the lines above", file=sys.stderr)
         return 1
+
+
+class _Warnings(logging.Handler):
+    """Warnings of the stages as plain lines on standard error, above a running bar."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(f"{record.levelname.lower()}: {record.getMessage()}", file=sys.stderr)
+
+
+_WARNINGS = _Warnings(logging.WARNING)
 
 
 def _fail(message: str, code: int = 2) -> int:
@@ -124,6 +134,7 @@ def _run(config, overrides, preset, variant, out, overwrite, quiet) -> None:
 
     chosen = {} if variant is None else {"variant": variant}
     settings = load_config(config, [*overrides, chosen], preset)
+    _prepare(settings.variant)
     from .job import run_job
 
     with _progress(quiet) as progress:
@@ -144,6 +155,7 @@ def bake(reference, lowpoly, out, atlas_size, variant, overwrite, quiet) -> None
     """
     Bake the look of REFERENCE into textures for LOWPOLY, a mesh of yours in the same place.
     """
+    _prepare(variant)
     from .job import bake_job
 
     with _progress(quiet) as progress:
@@ -170,6 +182,7 @@ def evaluate(reference, candidates, out, views, resolution, spp, seed, variant, 
     """
     Measure how much each of CANDIDATES looks like REFERENCE: PSNR, FLIP, silhouette error.
     """
+    _prepare(variant)
     from .job import evaluate_job, figure_rows
 
     with _progress(quiet) as progress:
@@ -199,14 +212,12 @@ def render(asset, out, resolution, spp, azimuth, elevation, variant) -> None:
         config = load_config(asset)
         asset, variant = config.asset, variant or config.variant
         settings = {"transport": config.reference.transport, "max_depth": config.reference.max_depth}
+    _prepare(variant)
     from . import picture
+    from .job import open_asset
     from .output import check_writable
-    from .runtime import ensure_variant
 
     check_writable(picture.check_picture_path(out))
-    ensure_variant(variant)
-    from .job import open_asset
-
     image = picture.render_picture(
         open_asset(asset), spp=spp, resolution=resolution, azimuth=azimuth, elevation=elevation, **settings
     )
@@ -252,6 +263,13 @@ def config_schema(as_json) -> None:
         print(json.dumps(config.json_schema(), indent=2))
     else:
         print(config.markdown(), end="")
+
+
+def _prepare(variant: str | None) -> None:
+    """Set the variant before anything imports Dr.Jit, which would load whichever LLVM it finds."""
+    from .runtime import ensure_variant
+
+    ensure_variant(variant)
 
 
 def _progress(quiet: bool) -> Any:

@@ -28,6 +28,7 @@ from .scenes.asset import Asset
 from .scenes.load import load_asset
 from .scenes.reference import MitsubaReference, Reference, make_reference
 
+
 @dataclass(frozen=True)
 class Frame:
     """

@@ -75,19 +75,19 @@ def ensure_variant(variant: str | None = None) -> str:
     RuntimeUnavailable
         The variant is not one of ``VARIANTS``, there is no usable LLVM, or no GPU for CUDA.
     """
+    active = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
+    wanted = variant or active or os.environ.get("MI_SIMPLIFY_VARIANT") or VARIANTS[0]
+    if wanted not in VARIANTS:
+        raise RuntimeUnavailable(f"variant '{wanted}' is not supported; use one of {', '.join(VARIANTS)}")
+    if wanted.startswith("llvm"):
+        _require_llvm()  # before the import below, which loads it
     try:
         import mitsuba as mi
     except ImportError as error:
         way_out = "pip install 'mitsuba>=3.9,<3.10'"
         raise RuntimeUnavailable(f"Mitsuba cannot be imported ({error}); install it: {way_out}") from None
-    active = mi.variant()
-    wanted = variant or active or os.environ.get("MI_SIMPLIFY_VARIANT") or VARIANTS[0]
-    if wanted not in VARIANTS:
-        raise RuntimeUnavailable(f"variant '{wanted}' is not supported; use one of {', '.join(VARIANTS)}")
     if wanted.startswith("cuda"):
         require_cuda()
-    else:
-        _require_llvm(loaded=bool(active) and active.startswith("llvm"))
     if wanted != active:
         mi.set_variant(wanted)
     return wanted
@@ -201,14 +201,14 @@ def _usable(paths: Iterable[str]) -> list[str]:
     return [path for path in paths if (llvm_version(path) or 0) >= OLDEST_LLVM]
 
 
-def _require_llvm(loaded: bool) -> None:
-    """Raise unless Dr.Jit uses, or will use, an LLVM that can render."""
+def _require_llvm() -> None:
+    """Raise unless Dr.Jit has loaded, or will load, an LLVM that can render."""
     way_out = f"install one with 'pip install {LLVM_WHEEL}', or let DRJIT_LIBLLVM_PATH name one"
-    if loaded:
-        import drjit as dr
-
-        version, path = dr.detail.llvm_version()[0], "the LLVM that Dr.Jit has loaded"
+    if "drjit" in sys.modules:  # which loads it on import
+        version, path = sys.modules["drjit"].detail.llvm_version()[0], "the LLVM that Dr.Jit loaded"
         way_out = f"import mi_simplify before drjit and mitsuba; {way_out}"
+        if version < 0:
+            raise RuntimeUnavailable(f"Dr.Jit found no libLLVM when it was imported; {way_out}")
     else:
         path = choose_llvm()
         if path is None:

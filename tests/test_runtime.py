@@ -99,10 +99,11 @@ def test_an_explicit_choice_wins(machine, monkeypatch):
     assert runtime.choose_llvm() == "/somewhere/libLLVM.so.18.1"
 
 
-def test_without_a_usable_llvm_the_message_says_what_to_install(machine):
+def test_without_a_usable_llvm_the_message_says_what_to_install(machine, monkeypatch):
     library(machine / "system", "libLLVM-15.so.1")
+    monkeypatch.delitem(sys.modules, "drjit")
     with pytest.raises(RuntimeUnavailable, match=r"16 or newer \(found .*LLVM-15.so.1.*pip install karellen-llvm-core"):
-        runtime._require_llvm(loaded=False)
+        runtime._require_llvm()
 
 
 @pytest.mark.parametrize(
@@ -113,6 +114,7 @@ def test_an_explicit_choice_that_cannot_render_is_refused(tmp_path, name, messag
     path = library(tmp_path, name) if name else str(tmp_path / "missing.so")
     done = run_python("from mi_simplify.runtime import ensure_variant; ensure_variant()", DRJIT_LIBLLVM_PATH=path)
     assert done.returncode == 1
+    assert "jit_" not in done.stderr  # Dr.Jit was not asked
     assert done.stderr.splitlines()[-1].startswith("mi_simplify.errors.RuntimeUnavailable: ")
     assert message in done.stderr.splitlines()[-1]
 
@@ -139,7 +141,7 @@ def test_the_wheel_of_this_environment_is_what_drjit_loads():
 
 
 def test_the_variant_is_the_named_one_then_the_active_one_then_the_environments():
-    program = "import mitsuba as mi\nfrom mi_simplify.runtime import ensure_variant\n"
+    program = "from mi_simplify.runtime import ensure_variant\nimport mitsuba as mi\n"
     assert "'scalar_rgb' is not supported; use one of llvm_ad_rgb, cuda_ad_rgb" in (
         run_python(program + "ensure_variant()", MI_SIMPLIFY_VARIANT="scalar_rgb").stderr
     )
@@ -148,6 +150,18 @@ def test_the_variant_is_the_named_one_then_the_active_one_then_the_environments(
     done = run_python(program + "mi.set_variant('scalar_rgb'); print(ensure_variant('llvm_ad_rgb'), mi.variant())")
     assert done.stdout.split() == ["llvm_ad_rgb", "llvm_ad_rgb"], done.stderr
     assert run_python(program + "print(ensure_variant())", MI_SIMPLIFY_VARIANT="").stdout.strip() == "llvm_ad_rgb"
+
+
+@pytest.mark.parametrize(
+    ("version", "message"),
+    [(15, "the LLVM that Dr.Jit loaded is version 15, which aborts"), (-1, "Dr.Jit found no libLLVM")],
+)
+def test_an_llvm_that_drjit_has_loaded_before_us_is_examined(monkeypatch, version, message):
+    import drjit as dr
+
+    monkeypatch.setattr(dr.detail, "llvm_version", lambda: (version, 0, 0))
+    with pytest.raises(RuntimeUnavailable, match=f"{message}.*import mi_simplify before drjit"):
+        runtime.ensure_variant()
 
 
 def test_cuda_without_a_gpu_is_one_clear_error(monkeypatch):
