@@ -51,7 +51,8 @@ def test_rows_of_different_length(tmp_path, order):
     name = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
     text = (
         "element vertex 60\nproperty double x\nproperty double y\nproperty double z\n"
-        "element face 200\nproperty uchar flag\nproperty list ushort uint vertex_index\nproperty float weight\nend_header\n"
+        "element face 200\nproperty uchar flag\nproperty list ushort uint vertex_index\n"
+        "property float weight\nend_header\n"
     )
     data = header(name, text) + vertices.astype(order + "f8").tobytes()
     for f in faces:
