@@ -105,18 +105,16 @@ class Fit:
         surface = self.latent.evaluate(leaf)
         frame = self.renderer.render(surface, self.latent.textures, views, spp=config.optimizer.spp, seed=seed)
 
-        image = mi.Vector4f(frame.image)
-        dr.enable_grad(image)
-        loss = frame_loss(image, reference, self._background(dr.width(image), seed), self.loss, self._coverage)
-        dr.backward(loss)
-        grad_image, loss = dr.grad(image), dr.detach(loss)
-        dr.eval(grad_image, loss)
-
-        texel_grad = self.renderer.backward(frame, grad_image, self.latent.textures, leaf, surface, seed ^ 0x5BD1E995)
+        background = self._background(dr.width(frame.image), seed)
+        loss, grad_image = frame_loss(frame.image, reference, background, self.loss, self._coverage)
+        texel_grad = self.renderer.backward(
+            frame, grad_image, surface, self.latent.textures, leaf, seed ^ dr.opaque(mi.UInt32, 0x5BD1E995)
+        )
         if self.moves and config.loss.laplacian.weight > 0:
             dr.backward(self.laplacian.loss(leaf) * self._laplacian_weight(loss, progress))
         factor = exponential(progress, config.optimizer.decay)
-        self.texels.step(texel_grad, dr.opaque(mi.Float, factor))
+        if texel_grad is not None:
+            self.texels.step(texel_grad, dr.opaque(mi.Float, factor))
         if self.moves:
             self.vertices.step(dr.grad(leaf), positions, factor)
         return loss

@@ -81,9 +81,9 @@ def compose(image: mi.Vector4f, background: mi.Color3f) -> mi.Color3f:
     return mi.Color3f(image.xyz) + (1 - image.w) * background
 
 
-def frame_loss(image: mi.Vector4f, reference: mi.Vector4f, background: mi.Color3f, loss: Callable, coverage: float):
+def frame_loss(image: mi.Vector4f, reference: mi.Vector4f, background: mi.Color3f, loss: Callable, coverage):
     """
-    Mean loss of a batch of pixels over a shared background, plus the coverage term.
+    Mean loss of a batch of pixels over a shared background, plus the coverage term, and its derivative by the image.
 
     Parameters
     ----------
@@ -98,9 +98,18 @@ def frame_loss(image: mi.Vector4f, reference: mi.Vector4f, background: mi.Color3
 
     Returns
     -------
-    mi.Float, width 1
+    value : mi.Float, width 1
+    grad : mi.Vector4f, width N
+        ∂value/∂image. Both in one kernel.
     """
     n = dr.width(image)
+    image = mi.Vector4f(dr.detach(image))
+    dr.enable_grad(image)
     per_pixel = dr.mean(loss(compose(image, background), compose(reference, background)))
     per_pixel += coverage * dr.square(image.w - reference.w)
-    return dr.sum(per_pixel) / n
+    dr.set_grad(per_pixel, 1 / n)
+    dr.enqueue(dr.ADMode.Backward, per_pixel)
+    dr.traverse(dr.ADMode.Backward)
+    per_pixel, grad = dr.detach(per_pixel), dr.grad(image)
+    dr.eval(per_pixel, grad)
+    return dr.sum(per_pixel) / n, grad

@@ -4,10 +4,12 @@ Adam on the packed latent textures: one kernel for moments, step and projection.
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 
-from ..latent.textures import Textures
+from ..latent.textures import BLOCK, TexelGradient, Textures
 
 
 class TexelAdam:
@@ -29,42 +31,44 @@ class TexelAdam:
 
     def __init__(self, textures: Textures, rates: dict[str, float], min_roughness: float, beta1=0.9, beta2=0.99):
         self.textures, self.beta1, self.beta2 = textures, beta1, beta2
-        n = textures.width * textures.height
-        self.m = dr.zeros(mi.Float, n * textures.n_channels)
-        self.v = dr.zeros(mi.Float, n * textures.n_channels)
-        self.count = dr.zeros(mi.Float, n)
+        n = dr.width(textures.data) // textures.n_channels
+        self.m = dr.opaque(mi.Float, 0, n * textures.n_channels)
+        self.v = dr.opaque(mi.Float, 0, n * textures.n_channels)
+        self.count = dr.opaque(mi.Float, 0, n)
         self._min_roughness = dr.opaque(mi.Float, min_roughness)
         names = ("base_color",) * 3 + ("roughness", "metallic") + ("normal",) * 3 + ("opacity", "gamma")
         per_channel = [rates.get(name, 0.0) for name in names] + [0.0, 0.0]
         self._rates = [dr.opaque(mi.Float, r) for r in per_channel[: textures.n_channels]]
-        dr.eval(self.m, self.v, self.count)
 
-    def step(self, grad: mi.Float, factor: mi.Float) -> None:
+    def step(self, grad: TexelGradient, factor: mi.Float) -> None:
         """
-        One update.
+        One update of the texels in ``grad`` whose gradient is not zero.
 
         Parameters
         ----------
-        grad : mi.Float, width H·W·channels
+        grad : TexelGradient
         factor : mi.Float, width 1, opaque
             Of all rates.
         """
         textures, n = self.textures, self.textures.n_channels
-        texel = dr.arange(mi.UInt32, textures.width * textures.height)
-        load = lambda buffer: dr.gather(mi.ArrayXf, buffer, texel, shape=(n, dr.width(texel)))  # noqa: E731
-        g, x, m, v = load(grad), load(textures.data), load(self.m), load(self.v)
+        lane = dr.arange(mi.UInt32, dr.width(grad.blocks) * BLOCK)
+        block = lane // BLOCK
+        texel = dr.gather(mi.UInt32, grad.blocks, block) * BLOCK + (lane - block * BLOCK)
+        load = lambda buffer, i: dr.gather(mi.ArrayXf, buffer, i, shape=(n, dr.width(lane)))  # noqa: E731
+        g, x, m, v = load(grad.values, lane), *(load(buffer, texel) for buffer in (textures.data, self.m, self.v))
         seen = dr.any(g != 0)
-        count = self.count + 1
+        count = dr.gather(mi.Float, self.count, texel) + 1
         m = dr.lerp(g, m, self.beta1)
         v = dr.lerp(dr.square(g), v, self.beta2)
-        correct1 = dr.rcp(1 - dr.exp(count * dr.log(mi.Float(self.beta1))))
-        correct2 = dr.rcp(1 - dr.exp(count * dr.log(mi.Float(self.beta2))))
+        correct1 = dr.rcp(1 - dr.exp2(count * math.log2(self.beta1)))
+        correct2 = dr.rcp(1 - dr.exp2(count * math.log2(self.beta2)))
         rates = mi.ArrayXf(self._rates) * factor
         x = x - rates * (m * correct1) * dr.rsqrt(dr.maximum(v * correct2, 1e-24))
         x = self._project(x)
-        for buffer, value in ((textures.data, x), (self.m, m), (self.v, v)):
+        # Evaluated before they are written: Dr.Jit copies a buffer that is read and written in one kernel.
+        dr.eval(texel, seen, count, x, m, v)
+        for buffer, value in ((textures.data, x), (self.m, m), (self.v, v), (self.count, count)):
             dr.scatter(buffer, value, texel, seen)
-        self.count = dr.select(seen, count, self.count)
         dr.eval(textures.data, self.m, self.v, self.count)
 
     def _project(self, x: mi.ArrayXf) -> mi.ArrayXf:

@@ -89,14 +89,22 @@ class Cameras:
         return pixel // (self.width * self.height)
 
 
-def film_samples(cameras: Cameras, spp: int, seed: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Float, mi.Float]:
+def film_samples(
+    cameras: Cameras, spp: int, seed: mi.UInt32, index: mi.UInt32 | None = None
+) -> tuple[mi.UInt32, mi.UInt32, mi.Float, mi.Float]:
     """
-    Pixel, view and film position of every sample of a batch, ``spp`` consecutive ones a pixel.
+    Pixel, view and film position of samples of a batch, ``spp`` consecutive ones a pixel.
 
     A rank-1 lattice in every pixel, shifted at random per pixel: as even as a stratified grid for any spp. The same
     seed gives the same positions, whatever else changes.
+
+    Parameters
+    ----------
+    index : mi.UInt32, optional
+        Which samples; all of them if not given.
     """
-    index = dr.arange(mi.UInt32, cameras.n_pixels * spp)
+    if index is None:
+        index = dr.arange(mi.UInt32, cameras.n_pixels * spp)
     pixel = index // spp if spp > 1 else index
     k = mi.Float(index - pixel * spp) if spp > 1 else mi.Float(0)
     shift_x, shift_y = mi.sample_tea_32(pixel, seed, 4)

@@ -1,5 +1,5 @@
 """
-The batched renderer of the fitting loop: B views of a latent surface in one kernel, with exact gradients.
+The batched renderer of the fitting loop: B views of a latent surface in a few kernels, with exact gradients.
 
 Interior derivatives come from automatic differentiation of the deferred shading, those of visibility from samples on
 the edges across which the image jumps: two ordinary camera rays a tiny step to either side, and the difference of
@@ -14,13 +14,24 @@ import drjit as dr
 import mitsuba as mi
 
 from ..latent.surface import MeshTopology, Surface
-from ..latent.textures import Textures
+from ..latent.textures import Footprint, TexelGradient, Textures
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
 from .camera import Cameras, film_samples
 from .edges import EDGE_STEP, EdgeSet, edge_table
-from .gbuffer import fragment, trace
+from .gbuffer import MISS, fragment, trace
 from .shading import shade
+
+
+@dataclass
+class Lookup:
+    """
+    One texture lookup of a frame: where, and the zero that was added to it and collects its gradient.
+    """
+
+    footprint: Footprint
+    offset: mi.ArrayXf
+    touched: mi.Bool
 
 
 @dataclass
@@ -28,14 +39,16 @@ class Frame:
     """
     One rendered batch: its image, and what its gradient needs.
 
-    ``image`` holds premultiplied radiance and coverage of every pixel, width ``B·height·width``, evaluated.
+    ``image`` holds premultiplied radiance and coverage of every pixel, width ``B·height·width``, evaluated;
+    ``samples`` and ``pixel`` are those of the camera samples that hit something, None where none did.
     """
 
     image: mi.Vector4f
     cameras: Cameras
-    samples: mi.Vector4f
-    texel_offset: mi.ArrayXf
-    corners: tuple
+    packets: mi.Float
+    samples: mi.Vector4f | None
+    pixel: mi.UInt32 | None
+    lookup: Lookup | None
     spp: int
 
 
@@ -65,22 +78,17 @@ class DeferredRenderer:
         """
         self.tracer.move(positions)
 
-    def radiance(self, surface: Surface, textures: Textures, cameras: Cameras, view, x, y, texel_offset=None, corners=None):
+    def _shade(self, packets: mi.Float, textures: Textures, cameras: Cameras, view, face, ray, offset=None):
         """
-        Radiance and coverage along the rays through film positions (x, y) [pixels].
-
-        ``texel_offset``, shape (channels, N), is added to the texture lookup: its gradient is that of the looked-up texels.
+        Radiance and coverage of rays with known hits; also the footprint of the texture lookup.
         """
-        origin, direction = cameras.ray(view, x, y)
-        face, _ = trace(self.tracer.scene, origin, direction)
-        hit = fragment(surface, face, origin, direction)
-        value = textures.lookup(hit.u, hit.v, hit.active)
-        if texel_offset is not None:
-            corners.append((*textures.corners(dr.detach(hit.u), dr.detach(hit.v)), hit.active))
-            value = value + texel_offset
-        texels = textures.unpack(value)
+        origin, direction = ray
+        hit = fragment(Surface(packets, self.topology.faces), face, origin, direction)
+        footprint = textures.footprint(hit.u, hit.v)
+        value = textures.lookup(footprint)
+        texels = textures.unpack(value if offset is None else value + offset)
         light, intensity = cameras.fetch(view, 4).xyz, cameras.fetch(view, 5).xyz
-        return shade(hit, texels, direction, light, intensity, self.form)
+        return shade(hit, texels, direction, light, intensity, self.form), footprint
 
     def render(self, surface: Surface, textures: Textures, views: Views, *, spp: int, seed: mi.UInt32) -> Frame:
         """
@@ -89,78 +97,128 @@ class DeferredRenderer:
         Parameters
         ----------
         surface : Surface
-            Of the positions last given to :meth:`move`; attached where gradients are wanted.
+            Of the positions last given to :meth:`move`.
         spp : int
             Samples per pixel.
         seed : mi.UInt32
             Opaque; the same seed gives the same sample positions.
+
+        Notes
+        -----
+        Three kernels: hits of all samples; the list of those that hit (read back); their shading. Most samples of a view
+        see the background, so shading and its derivative run over a fraction of them.
         """
         cameras = Cameras.of(views)
-        dr.eval(cameras.packets, surface.packets)
+        packets = dr.detach(surface.packets)
         _, view, x, y = film_samples(cameras, spp, seed)
-        offset = dr.zeros(mi.ArrayXf, (textures.n_channels, cameras.n_pixels * spp))
-        dr.enable_grad(offset)
-        corners = []
-        samples = self.radiance(surface, textures, cameras, view, x, y, offset, corners)
-        image = mi.Vector4f(*[dr.block_sum(c, spp) * (1 / spp) for c in dr.detach(samples)])
-        dr.eval(image)
-        return Frame(image, cameras, samples, offset, corners[0], spp)
+        face = trace(self.tracer.scene, *cameras.ray(view, x, y))[0]
+        dr.eval(face, packets)
+        hits = dr.compress(face != MISS)
+        n_hits = dr.width(hits)
+        if n_hits == 0:
+            return Frame(dr.zeros(mi.Vector4f, cameras.n_pixels), cameras, packets, None, None, None, spp)
 
-    def backward(self, frame: Frame, grad_image: mi.Vector4f, textures: Textures, positions: mi.Float, surface: Surface, seed):
+        face = dr.gather(mi.UInt32, face, hits)
+        pixel, view, x, y = film_samples(cameras, spp, seed, hits)
+        offset = dr.zeros(mi.ArrayXf, (textures.n_channels, n_hits))
+        dr.enable_grad(offset, packets)
+        samples, footprint = self._shade(packets, textures, cameras, view, face, cameras.ray(view, x, y), offset)
+        touched = TexelGradient.touched(textures, footprint)
+        image = dr.zeros(mi.Float, cameras.n_pixels * 4)
+        value = dr.detach(samples)
+        if spp == 1:
+            dr.scatter(image, value, pixel)
+        else:
+            dr.scatter_reduce(dr.ReduceOp.Add, image, value * (1 / spp), pixel, mode=dr.ReduceMode.Local)
+        dr.eval(image, touched)
+        image = dr.gather(mi.Vector4f, image, dr.arange(mi.UInt32, cameras.n_pixels))
+        return Frame(image, cameras, packets, samples, pixel, Lookup(footprint, offset, touched), spp)
+
+    def backward(
+        self, frame: Frame, grad_image: mi.Vector4f, surface: Surface, textures: Textures, positions: mi.Float, seed: mi.UInt32
+    ) -> TexelGradient | None:
         """
         Carry the derivative of a loss by the image to positions and texels.
 
         Parameters
         ----------
         grad_image : mi.Vector4f, width B·height·width
-            ∂loss/∂image, evaluated.
+            ∂loss/∂image.
+        surface : Surface
+            As given to :meth:`render`, attached to ``positions``.
         positions : mi.Float, width P·3
-            Attached leaf that ``surface`` was made from; receives its gradient.
+            Leaf that receives its gradient; nothing is done for it where it carries none.
         seed : mi.UInt32
             For the edge samples.
 
         Returns
         -------
-        mi.Float, width H·W·channels
-            Gradient of the texels.
+        TexelGradient or None
+            None where no sample hit the model.
         """
-        index = dr.arange(mi.UInt32, frame.cameras.n_pixels * frame.spp) // frame.spp
-        grad = dr.gather(mi.Vector4f, dr.ravel(grad_image), index) * (1 / frame.spp)
-        dr.set_grad(frame.samples, grad)
-        dr.enqueue(dr.ADMode.Backward, frame.samples)
-        dr.traverse(dr.ADMode.Backward, flags=dr.ADFlag.ClearInterior)
-        texel_grad = self._texel_gradient(frame, textures)
+        grad_flat = dr.ravel(grad_image)
+        dr.eval(grad_flat)
+        texel_grad = None
+        if frame.samples is not None:
+            dr.set_grad(frame.samples, dr.gather(mi.Vector4f, grad_flat, frame.pixel) * (1 / frame.spp))
+            dr.enqueue(dr.ADMode.Backward, frame.samples)
+            dr.traverse(dr.ADMode.Backward)
+            look = frame.lookup
+            texel_grad = TexelGradient.collect(textures, look.footprint, look.touched, dr.grad(look.offset))
+            packets_grad = dr.grad(frame.packets)
+            dr.eval(texel_grad.values, packets_grad)
+            if dr.grad_enabled(surface.packets):
+                dr.set_grad(surface.packets, packets_grad)
+                dr.enqueue(dr.ADMode.Backward, surface.packets)
+                dr.traverse(dr.ADMode.Backward)
         if self.edge_fraction > 0 and dr.grad_enabled(positions):
-            self.boundary(frame.cameras, grad_image, surface, textures, positions, seed)
+            self._boundary(frame, grad_flat, textures, positions, seed)
         return texel_grad
 
-    def _texel_gradient(self, frame: Frame, textures: Textures) -> mi.Float:
-        index, fx, fy, active = frame.corners
-        grad = dr.grad(frame.texel_offset)
-        out = dr.zeros(mi.Float, textures.width * textures.height * textures.n_channels)
-        weights = ((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy)
-        for i, w in zip(index, weights, strict=True):
-            # A private copy per thread: atomics on a coherent image cost twenty times as much.
-            dr.scatter_reduce(dr.ReduceOp.Add, out, grad * w, i, active, mode=dr.ReduceMode.Expand)
-        return out
-
-    def boundary(self, cameras: Cameras, grad_image, surface: Surface, textures: Textures, positions: mi.Float, seed) -> None:
+    def _boundary(self, frame: Frame, grad_flat: mi.Float, textures: Textures, positions: mi.Float, seed: mi.UInt32) -> None:
         """
-        Add the gradient that moving edges have on the image, to ``positions`` (and to attached cameras).
+        Add the gradient that moving edges have on the image, to ``positions``.
         """
-        n = max(64, int(cameras.n_pixels * self.edge_fraction))
+        cameras = frame.cameras
+        n = max(64, int(cameras.n_pixels * frame.spp * self.edge_fraction))
         with dr.suspend_grad():
             e = self.edges.sample(positions, cameras, n, seed)
-            step = EDGE_STEP * max(cameras.width, cameras.height)
-            flat = Surface(dr.detach(surface.packets), surface.faces)
-            low, high = (
-                self.radiance(flat, textures, cameras, e.view, e.x + s * e.nx, e.y + s * e.ny) for s in (-step, step)
-            )
+            dr.eval(e)
+            jump = self._jump(e, dr.detach(frame.packets), textures, cameras, n)
             px, py = (mi.UInt32(dr.clip(c, 0, size - 1)) for c, size in ((e.x, cameras.width), (e.y, cameras.height)))
             pixel = (e.view * cameras.height + py) * cameras.width + px
-            grad = dr.gather(mi.Vector4f, dr.ravel(grad_image), pixel)
-            jump = dr.dot(low - high, grad) * e.weight
+            speed = dr.dot(jump, dr.gather(mi.Vector4f, grad_flat, pixel)) * e.weight
         # The edge moves along its normal by n·dx: what lies on its low side gains that much area.
         p = dr.lerp(dr.gather(mi.Point3f, positions, e.end0), dr.gather(mi.Point3f, positions, e.end1), e.s)
         film = cameras.project(e.view, p)
-        dr.backward(dr.sum(jump * (film.x * e.nx + film.y * e.ny)))
+        motion = film.x * e.nx + film.y * e.ny
+        dr.set_grad(motion, speed)
+        dr.enqueue(dr.ADMode.Backward, motion)
+        dr.traverse(dr.ADMode.Backward)
+
+    def _jump(self, e, packets: mi.Float, textures: Textures, cameras: Cameras, n: int) -> mi.Vector4f:
+        """
+        Radiance and coverage on the low side of each edge sample less those on its high side, width N.
+        """
+        step = EDGE_STEP * max(cameras.width, cameras.height)
+
+        def ray(lane):
+            # Neighbouring lanes are the two sides of one sample: nearly the same ray.
+            i = lane // 2
+            side = mi.Float(mi.Int32(lane - 2 * i) * 2 - 1) * step
+            take = lambda a: dr.gather(type(a), a, i)  # noqa: E731
+            view = take(e.view)
+            x, y = dr.fma(side, take(e.nx), take(e.x)), dr.fma(side, take(e.ny), take(e.y))
+            return view, cameras.ray(view, x, y)
+
+        _, (origin, direction) = ray(dr.arange(mi.UInt32, 2 * n))
+        face = trace(self.tracer.scene, origin, direction)[0]
+        dr.eval(face)
+        sides = dr.zeros(mi.Float, 8 * n)
+        hits = dr.compress(face != MISS)
+        if dr.width(hits) > 0:
+            view, rays = ray(hits)
+            value, _ = self._shade(packets, textures, cameras, view, dr.gather(mi.UInt32, face, hits), rays)
+            dr.scatter(sides, value, hits)
+        lane = dr.arange(mi.UInt32, n) * 2
+        return dr.gather(mi.Vector4f, sides, lane) - dr.gather(mi.Vector4f, sides, lane + 1)

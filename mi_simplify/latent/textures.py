@@ -28,6 +28,85 @@ class Texels:
     gamma: mi.Float
 
 
+@dataclass
+class Footprint:
+    """
+    The texels that a lookup reads: flat indices in the order 00, 10, 01, 11 and the fractions towards the second column
+    and row, which carry the derivative by the UV.
+    """
+
+    index: list[mi.UInt32]
+    fx: mi.Float
+    fy: mi.Float
+    active: mi.Bool | bool
+
+
+#: Consecutive texels that gradients and optimiser steps are kept for together.
+BLOCK = 4
+
+
+@dataclass
+class TexelGradient:
+    """
+    Gradient of the texels that a step touched, in blocks of :data:`BLOCK` consecutive ones.
+
+    Parameters
+    ----------
+    blocks : mi.UInt32, width K
+        Block numbers, ascending.
+    values : mi.Float, width K·BLOCK·channels
+    """
+
+    blocks: mi.UInt32
+    values: mi.Float
+
+    @staticmethod
+    def touched(textures: Textures, footprint: Footprint) -> mi.Bool:
+        """
+        Which blocks a lookup reads, one flag a block; a pending side effect of the caller's next kernel.
+        """
+        flags = dr.zeros(mi.Bool, textures.n_texels // BLOCK + 1)
+        for i in footprint.index:
+            dr.scatter(flags, mi.Bool(True), i // BLOCK, footprint.active)
+        return flags
+
+    @staticmethod
+    def collect(textures: Textures, footprint: Footprint, flags: mi.Bool, grad: mi.ArrayXf) -> TexelGradient:
+        """
+        The transposed lookup: add ``grad``, shape (channels, N), to the texels with their bilinear weights.
+
+        Notes
+        -----
+        Reads the number of touched blocks back. The sum is a pending side effect: evaluate ``values`` with what
+        else the kernel computes. Cost grows with the texels touched, not with those there are.
+        """
+        blocks = dr.compress(flags)
+        n_blocks = dr.width(blocks)
+        slot = dr.empty(mi.UInt32, dr.width(flags))
+        dr.scatter(slot, dr.arange(mi.UInt32, n_blocks), blocks)
+        dr.eval(slot)
+        values = dr.zeros(mi.Float, n_blocks * BLOCK * textures.n_channels)
+        fx, fy = dr.detach(footprint.fx), dr.detach(footprint.fy)
+        weights = ((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy)
+        for i, w in zip(footprint.index, weights, strict=True):
+            block = i // BLOCK
+            target = dr.gather(mi.UInt32, slot, block, footprint.active) * BLOCK + (i - block * BLOCK)
+            # A private copy per thread: atomics on a coherent image cost twenty times as much.
+            dr.scatter_reduce(dr.ReduceOp.Add, values, grad * w, target, footprint.active, mode=dr.ReduceMode.Expand)
+        return TexelGradient(blocks, values)
+
+    def dense(self, textures: Textures) -> mi.Float:
+        """
+        Gradient of all texels, width H·W·channels.
+        """
+        out = dr.zeros(mi.Float, (textures.n_texels + BLOCK) * textures.n_channels)
+        span = BLOCK * textures.n_channels
+        lane = dr.arange(mi.UInt32, dr.width(self.values))
+        block = lane // span
+        dr.scatter(out, self.values, dr.gather(mi.UInt32, self.blocks, block) * span + (lane - block * span))
+        return dr.gather(mi.Float, out, dr.arange(mi.UInt32, textures.n_texels * textures.n_channels))
+
+
 class Textures:
     """
     Packed base colour, roughness, metalness, normal and, on request, opacity and γ.
@@ -48,7 +127,14 @@ class Textures:
         planes = [base_color[..., :3], specular[..., 1:3], normal]
         if extended:
             planes += [base_color[..., 3:4], specular[..., :1], np.zeros((self.height, self.width, 2))]
-        self.data = mi.Float(np.concatenate(planes, axis=2).astype(np.float32).ravel())
+        packed = np.concatenate(planes, axis=2).astype(np.float32).ravel()
+        # Whole blocks, so that one past the last texel can be read and written.
+        self.data = mi.Float(np.append(packed, np.zeros(BLOCK * self.n_channels, np.float32)))
+
+    @property
+    def n_texels(self) -> int:
+        """Texels in all."""
+        return self.width * self.height
 
     @property
     def extended(self) -> bool:
@@ -59,7 +145,7 @@ class Textures:
         """
         ``base_color`` (H, W, 4), ``specular`` (H, W, 3) and unit ``normal`` (H, W, 3) in NumPy.
         """
-        data = self.data.numpy().reshape(self.height, self.width, self.n_channels)
+        data = self.data.numpy()[: self.n_texels * self.n_channels].reshape(self.height, self.width, self.n_channels)
         one, zero = np.ones_like(data[..., :1]), np.zeros_like(data[..., :1])
         opacity, gamma = (data[..., 8:9], data[..., 9:10]) if self.extended else (one, zero)
         normal = data[..., 5:8]
@@ -70,41 +156,31 @@ class Textures:
             normal=normal,
         )
 
-    def corners(self, u: mi.Float, v: mi.Float):
+    def footprint(self, u: mi.Float, v: mi.Float, active: mi.Bool | bool = True) -> Footprint:
         """
         The four texels around a UV and their bilinear weights, texel centres at ``(k + .5)/N``, repeating.
-
-        Returns
-        -------
-        index : list of mi.UInt32
-            Texel indices ``y·W + x`` in the order 00, 10, 01, 11.
-        fx, fy : mi.Float
-            Fractions towards the second column and row; they carry the derivative by (u, v).
         """
         x, y = dr.fma(u, self.width, -0.5), dr.fma(v, self.height, -0.5)
         x0, y0 = dr.floor(dr.detach(x)), dr.floor(dr.detach(y))
-        fx, fy = x - x0, y - y0
         ix, iy = self._wrap(mi.Int32(x0), self.width), self._wrap(mi.Int32(y0), self.height)
         jx = dr.select(ix + 1 < self.width, ix + 1, 0)
         jy = dr.select(iy + 1 < self.height, iy + 1, 0)
-        rows = [iy * self.width, jy * self.width]
-        index = [mi.UInt32(r + c) for r in rows for c in (ix, jx)]
-        return index, fx, fy
+        index = [mi.UInt32(r * self.width + c) for r in (iy, jy) for c in (ix, jx)]
+        return Footprint(index, x - x0, y - y0, active)
 
     @staticmethod
     def _wrap(i: mi.Int32, n: int) -> mi.Int32:
         i = i - n * mi.Int32(dr.floor(mi.Float(i) * (1 / n)))
         return dr.clip(i, 0, n - 1)
 
-    def lookup(self, u: mi.Float, v: mi.Float, active=True) -> mi.ArrayXf:
+    def lookup(self, footprint: Footprint) -> mi.ArrayXf:
         """
-        Bilinear texel values, shape (channels, N); differentiable by (u, v), never by the texels (see TexelTape).
+        Bilinear texel values, shape (channels, N); differentiable by the UV, never by the texels (see :class:`TexelGradient`).
         """
-        index, fx, fy = self.corners(u, v)
         data = dr.detach(self.data)
-        shape = (self.n_channels, dr.width(u))
-        a, b, c, d = (dr.gather(mi.ArrayXf, data, i, active, shape=shape) for i in index)
-        return dr.lerp(dr.lerp(a, b, fx), dr.lerp(c, d, fx), fy)
+        shape = (self.n_channels, dr.width(footprint.index[0]))
+        a, b, c, d = (dr.gather(mi.ArrayXf, data, i, footprint.active, shape=shape) for i in footprint.index)
+        return dr.lerp(dr.lerp(a, b, footprint.fx), dr.lerp(c, d, footprint.fx), footprint.fy)
 
     def unpack(self, value: mi.ArrayXf) -> Texels:
         """
