@@ -110,6 +110,7 @@ class Fit:
         texel_grad = self.renderer.backward(
             frame, grad_image, surface, self.latent.textures, leaf, seed ^ dr.opaque(mi.UInt32, 0x5BD1E995)
         )
+        del frame  # its graph holds on to the textures, which then could not be written in place
         if self.moves and config.loss.laplacian.weight > 0:
             dr.backward(self.laplacian.loss(leaf) * self._laplacian_weight(loss, progress))
         factor = exponential(progress, config.optimizer.decay)

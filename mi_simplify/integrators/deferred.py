@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..latent.surface import MeshTopology, Surface
-from ..latent.textures import Footprint, TexelGradient, Textures
+from ..latent.textures import Footprint, TexelGradient, Textures, TouchedBlocks
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
 from .camera import Cameras, film_samples
@@ -31,7 +31,7 @@ class Lookup:
 
     footprint: Footprint
     offset: mi.ArrayXf
-    touched: mi.Bool
+    touched: TouchedBlocks
 
 
 @dataclass
@@ -112,8 +112,9 @@ class DeferredRenderer:
         packets = dr.detach(surface.packets)
         _, view, x, y = film_samples(cameras, spp, seed)
         face = trace(self.tracer.scene, *cameras.ray(view, x, y))[0]
-        dr.eval(face, packets)
-        hits = dr.compress(face != MISS)
+        is_hit = face != MISS
+        dr.eval(face, is_hit, packets)
+        hits = dr.compress(is_hit)
         n_hits = dr.width(hits)
         if n_hits == 0:
             return Frame(dr.zeros(mi.Vector4f, cameras.n_pixels), cameras, packets, None, None, None, spp)
@@ -123,16 +124,16 @@ class DeferredRenderer:
         offset = dr.zeros(mi.ArrayXf, (textures.n_channels, n_hits))
         dr.enable_grad(offset, packets)
         samples, footprint = self._shade(packets, textures, cameras, view, face, cameras.ray(view, x, y), offset)
-        touched = TexelGradient.touched(textures, footprint)
+        flags = TouchedBlocks.flags(textures, footprint)
         image = dr.zeros(mi.Float, cameras.n_pixels * 4)
         value = dr.detach(samples)
         if spp == 1:
             dr.scatter(image, value, pixel)
         else:
             dr.scatter_reduce(dr.ReduceOp.Add, image, value * (1 / spp), pixel, mode=dr.ReduceMode.Local)
-        dr.eval(image, touched)
+        dr.eval(image, flags)
         image = dr.gather(mi.Vector4f, image, dr.arange(mi.UInt32, cameras.n_pixels))
-        return Frame(image, cameras, packets, samples, pixel, Lookup(footprint, offset, touched), spp)
+        return Frame(image, cameras, packets, samples, pixel, Lookup(footprint, offset, TouchedBlocks.of(flags)), spp)
 
     def backward(
         self, frame: Frame, grad_image: mi.Vector4f, surface: Surface, textures: Textures, positions: mi.Float, seed: mi.UInt32
@@ -166,7 +167,7 @@ class DeferredRenderer:
             look = frame.lookup
             texel_grad = TexelGradient.collect(textures, look.footprint, look.touched, dr.grad(look.offset))
             packets_grad = dr.grad(frame.packets)
-            dr.eval(texel_grad.values, packets_grad)
+            dr.eval(texel_grad.values, packets_grad)  # one kernel
             if dr.grad_enabled(surface.packets):
                 dr.set_grad(surface.packets, packets_grad)
                 dr.enqueue(dr.ADMode.Backward, surface.packets)
@@ -213,9 +214,10 @@ class DeferredRenderer:
 
         _, (origin, direction) = ray(dr.arange(mi.UInt32, 2 * n))
         face = trace(self.tracer.scene, origin, direction)[0]
-        dr.eval(face)
+        is_hit = face != MISS
+        dr.eval(face, is_hit)
         sides = dr.zeros(mi.Float, 8 * n)
-        hits = dr.compress(face != MISS)
+        hits = dr.compress(is_hit)
         if dr.width(hits) > 0:
             view, rays = ray(hits)
             value, _ = self._shade(packets, textures, cameras, view, dr.gather(mi.UInt32, face, hits), rays)

@@ -38,11 +38,41 @@ class Footprint:
     index: list[mi.UInt32]
     fx: mi.Float
     fy: mi.Float
-    active: mi.Bool | bool
 
 
 #: Consecutive texels that gradients and optimiser steps are kept for together.
 BLOCK = 4
+
+
+@dataclass
+class TouchedBlocks:
+    """
+    The blocks that some lookups read, ascending, and where each stands in that list.
+    """
+
+    blocks: mi.UInt32
+    slot: mi.UInt32
+
+    @staticmethod
+    def flags(textures: Textures, footprint: Footprint) -> mi.UInt32:
+        """
+        One flag a block; a pending side effect of the caller's next kernel.
+        """
+        flags = dr.zeros(mi.UInt32, textures.n_texels // BLOCK + 1)
+        for i in footprint.index:
+            dr.scatter_reduce(dr.ReduceOp.Or, flags, mi.UInt32(1), i // BLOCK)  # plain scatters would be a kernel each
+        return flags
+
+    @staticmethod
+    def of(flags: mi.UInt32) -> TouchedBlocks:
+        """
+        The list; reads its length back.
+        """
+        blocks = dr.compress(flags != 0)
+        slot = dr.empty(mi.UInt32, dr.width(flags))
+        dr.scatter(slot, dr.arange(mi.UInt32, dr.width(blocks)), blocks)
+        dr.eval(slot)
+        return TouchedBlocks(blocks, slot)
 
 
 @dataclass
@@ -61,39 +91,24 @@ class TexelGradient:
     values: mi.Float
 
     @staticmethod
-    def touched(textures: Textures, footprint: Footprint) -> mi.Bool:
-        """
-        Which blocks a lookup reads, one flag a block; a pending side effect of the caller's next kernel.
-        """
-        flags = dr.zeros(mi.Bool, textures.n_texels // BLOCK + 1)
-        for i in footprint.index:
-            dr.scatter(flags, mi.Bool(True), i // BLOCK, footprint.active)
-        return flags
-
-    @staticmethod
-    def collect(textures: Textures, footprint: Footprint, flags: mi.Bool, grad: mi.ArrayXf) -> TexelGradient:
+    def collect(textures: Textures, footprint: Footprint, blocks: TouchedBlocks, grad: mi.ArrayXf) -> TexelGradient:
         """
         The transposed lookup: add ``grad``, shape (channels, N), to the texels with their bilinear weights.
 
         Notes
         -----
-        Reads the number of touched blocks back. The sum is a pending side effect: evaluate ``values`` with what
-        else the kernel computes. Cost grows with the texels touched, not with those there are.
+        The sum is a pending side effect: evaluate ``values`` with what else the kernel computes. Cost grows with the
+        texels touched, not with those there are.
         """
-        blocks = dr.compress(flags)
-        n_blocks = dr.width(blocks)
-        slot = dr.empty(mi.UInt32, dr.width(flags))
-        dr.scatter(slot, dr.arange(mi.UInt32, n_blocks), blocks)
-        dr.eval(slot)
-        values = dr.zeros(mi.Float, n_blocks * BLOCK * textures.n_channels)
+        values = dr.zeros(mi.Float, dr.width(blocks.blocks) * BLOCK * textures.n_channels)
         fx, fy = dr.detach(footprint.fx), dr.detach(footprint.fy)
         weights = ((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy)
         for i, w in zip(footprint.index, weights, strict=True):
             block = i // BLOCK
-            target = dr.gather(mi.UInt32, slot, block, footprint.active) * BLOCK + (i - block * BLOCK)
+            target = dr.gather(mi.UInt32, blocks.slot, block) * BLOCK + (i - block * BLOCK)
             # A private copy per thread: atomics on a coherent image cost twenty times as much.
-            dr.scatter_reduce(dr.ReduceOp.Add, values, grad * w, target, footprint.active, mode=dr.ReduceMode.Expand)
-        return TexelGradient(blocks, values)
+            dr.scatter_reduce(dr.ReduceOp.Add, values, grad * w, target, mode=dr.ReduceMode.Expand)
+        return TexelGradient(blocks.blocks, values)
 
     def dense(self, textures: Textures) -> mi.Float:
         """
@@ -129,7 +144,10 @@ class Textures:
             planes += [base_color[..., 3:4], specular[..., :1], np.zeros((self.height, self.width, 2))]
         packed = np.concatenate(planes, axis=2).astype(np.float32).ravel()
         # Whole blocks, so that one past the last texel can be read and written.
-        self.data = mi.Float(np.append(packed, np.zeros(BLOCK * self.n_channels, np.float32)))
+        packed = mi.Float(np.append(packed, np.zeros(BLOCK * self.n_channels, np.float32)))
+        # An array made of NumPy memory borrows it, unaligned: wide scatters into it crash, so it is copied.
+        self.data = packed + dr.opaque(mi.Float, 0)
+        dr.eval(self.data)
 
     @property
     def n_texels(self) -> int:
@@ -156,7 +174,7 @@ class Textures:
             normal=normal,
         )
 
-    def footprint(self, u: mi.Float, v: mi.Float, active: mi.Bool | bool = True) -> Footprint:
+    def footprint(self, u: mi.Float, v: mi.Float) -> Footprint:
         """
         The four texels around a UV and their bilinear weights, texel centres at ``(k + .5)/N``, repeating.
         """
@@ -166,7 +184,7 @@ class Textures:
         jx = dr.select(ix + 1 < self.width, ix + 1, 0)
         jy = dr.select(iy + 1 < self.height, iy + 1, 0)
         index = [mi.UInt32(r * self.width + c) for r in (iy, jy) for c in (ix, jx)]
-        return Footprint(index, x - x0, y - y0, active)
+        return Footprint(index, x - x0, y - y0)
 
     @staticmethod
     def _wrap(i: mi.Int32, n: int) -> mi.Int32:
@@ -179,7 +197,7 @@ class Textures:
         """
         data = dr.detach(self.data)
         shape = (self.n_channels, dr.width(footprint.index[0]))
-        a, b, c, d = (dr.gather(mi.ArrayXf, data, i, footprint.active, shape=shape) for i in footprint.index)
+        a, b, c, d = (dr.gather(mi.ArrayXf, data, i, shape=shape) for i in footprint.index)
         return dr.lerp(dr.lerp(a, b, footprint.fx), dr.lerp(c, d, footprint.fx), footprint.fy)
 
     def unpack(self, value: mi.ArrayXf) -> Texels:
