@@ -25,6 +25,7 @@ __version__ = "0.1.0"
 _EXPORTS = {
     "Asset": "scenes.asset",
     "Config": "config",
+    "Frame": "job",
     "Model": "latent.model",
     "UserError": "errors",
     "bake": "initial",
