@@ -219,7 +219,8 @@ class _Lines:
     def faces(self) -> _Faces:
         """All ``f`` lines; relative indices are made absolute."""
         text, starts, line = self._select(b"f")
-        if not len(starts):
+        if not (text > 32).any():
+            line = line[:0]
             return _Faces(np.zeros((0, 3), np.int64), np.zeros(0, np.int64), line)
         slash = text == ord("/")
         solid = text > 32

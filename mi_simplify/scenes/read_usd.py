@@ -51,11 +51,14 @@ def read_usd(path: Path) -> Asset:
         _note_diagnostics(diagnostics, resources)
     except Tf.ErrorException as error:
         found = re.search(r"in file .*? : '(.+?)'\s*(?:\n|$)", str(error), re.DOTALL)
-        reason = re.sub(
-            r"pxrInternal\w*?__::|pxrInternal\w*?___", "", " ".join((found[1] if found else str(error)).split())
-        )
-        raise AssetError(f"{path.name}: USD cannot read it: {reason}") from error
+        reason = re.sub(r"pxrInternal\w*?__(::|_)|\s+", _space_of, found[1] if found else str(error))
+        raise AssetError(f"{path.name}: USD cannot read it: {reason[:200]}") from error
     return Asset(asset.parts, asset.instances, notes=tuple(notes))
+
+
+def _space_of(found: re.Match) -> str:
+    """Nothing for the library's internal namespaces, one blank for any white space."""
+    return " " if found[0].isspace() else ""
 
 
 def _note_diagnostics(delegate: UsdUtils.CoalescingDiagnosticDelegate, resources: Resources) -> None:
