@@ -5,6 +5,7 @@ The project's own judge: path traces reference and candidates from views that no
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ from .pictures import contact_sheet
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
     from ..scenes.views import Views
+
+log = logging.getLogger("mi_simplify")
 
 SKY = 0.1
 """Radiance of the constant sky beside the point light."""
@@ -147,7 +150,12 @@ def _path_traced(asset: Asset, views: Views, spp: int, seed: int, told: Callable
         image[..., :3] += sky.render(dark.take(one), seed=2 * (seed * len(views) + k) + 1)[..., :3]
         images.append(image)
         told(k + 1)
-    return np.concatenate(images)
+    images = np.concatenate(images)
+    broken = ~np.isfinite(images)
+    if broken.any():
+        log.warning("%s: %d pixel values are not finite and count as black", asset.name, np.count_nonzero(broken))
+        images[broken] = 0.0
+    return images
 
 
 def save_comparison(comparison: Comparison, out: str | Path) -> dict[str, Path]:

@@ -135,13 +135,14 @@ def _cards(figures: Mapping, log: Sequence[Mapping]) -> str:
     (first_name, first), (_, last) = candidates[0], candidates[-1]
     source = figures["reference"]["triangles"]
     cards = [
-        _card("triangles", f"{last['triangles']:,}", "", f"of {source:,}, {100 * last['triangles'] / source:.2g} %")
+        _card("triangles", f"{last['triangles']:,}", "", f"of {source:,}, {100 * last['triangles'] / source:,.1f} %")
     ]
     for key, (name, pattern, unit, better) in FIGURES.items():
         change = ""
         if len(candidates) > 1:
-            kind = "good" if better * (last[key] - first[key]) >= 0 else "bad"
-            change = f'<span class="{kind}">{html.escape(first_name)}: {pattern.format(first[key])}</span>'
+            now, before = pattern.format(last[key]), pattern.format(first[key])
+            kind = "same" if now == before else "good" if better * (last[key] - first[key]) > 0 else "bad"
+            change = f'<span class="{kind}">{html.escape(first_name)}: {before}</span>'
         cards.append(_card(name, pattern.format(last[key]), unit, change))
     seconds = [r["seconds"] for r in log if r.get("seconds") is not None]
     if seconds:
