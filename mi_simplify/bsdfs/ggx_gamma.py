@@ -142,7 +142,7 @@ class GgxGamma(mi.BSDF):
         h = dr.normalize(wi + wo)
         alpha2 = dr.square(dr.square(roughness))
         share = microfacet.specular_share(base_color, gamma, metallic, cos_i)
-        glossy = microfacet.visible_normal_pdf(alpha2, cos_i, dr.dot(frame.n, h), dr.dot(wi, h))
+        glossy = microfacet.visible_normal_pdf(alpha2, frame.n, wi, h)
         return dr.select(cos_o > 0, dr.lerp(cos_o * dr.inv_pi, glossy, share), 0)
 
     def eval(self, ctx, si, wo, active=True):
