@@ -1,8 +1,10 @@
 # The whole vocabulary: install, demo, test, slow, lint, format, docs, clean (see CONTRIBUTING.md).
 # PYTHON=/path/to/python3.12 chooses the interpreter that .venv is made from.
 
-PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
-	if $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$p; exit; fi; done; echo python3)
+# The first Python from 3.11 to 3.13, for which all wheels exist.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
+	if $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null; then \
+	echo $$p; exit; fi; done; echo python3)
 VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out/demo
@@ -16,7 +18,7 @@ install: $(VENV)/.installed
 # Stamps make every target cheap to repeat: a changed pyproject.toml installs again, nothing else does.
 $(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
-		echo "error: mi_simplify needs Python 3.11 or newer, but '$(PYTHON)' is $$($(PYTHON) --version 2>&1 | head -n 1);" \
+		echo "error: mi_simplify needs Python 3.11 or newer, but '$(PYTHON)' is $$($(PYTHON) --version 2>/dev/null || echo not there);" \
 			"name another one: make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { \
 		echo "error: '$(PYTHON) -m venv' failed; this Python lacks venv or ensurepip (see above)," \
