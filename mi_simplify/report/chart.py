@@ -88,14 +88,15 @@ def ticks(low: float, high: float, n: int = 5) -> list[tuple[float, str]]:
 
 def log_ticks(low: float, high: float) -> list[tuple[float, str]]:
     """
-    Ticks of an axis of decimal logarithms: whole powers, with 2 and 5 (or all digits) between where they are few.
+    Ticks of an axis of decimal logarithms: whole powers, with 2 and 5 (or all digits) between where they are few;
+    evenly spaced values where the range is short.
     """
     for digits in ((1,), (1, 2, 5), range(1, 10)):
         powers = range(math.floor(low), math.ceil(high) + 1)
         values = [d * 10.0**p for p in powers for d in digits if low <= math.log10(d) + p <= high]
         if len(values) >= 3:
             return [(math.log10(v), f"{v:g}") for v in values]
-    return [(v, f"{10**v:.3g}") for v in np.linspace(low, high, 5).tolist()]
+    return [(math.log10(v), text) for v, text in ticks(10**low, 10**high)]
 
 
 def _range(values: np.ndarray, margin: float = 0.0) -> tuple[float, float]:

@@ -218,7 +218,9 @@ def _curves(log: Sequence[Mapping]) -> str:
         ("psnr", "PSNR on a held-out view", "PSNR [dB]", False),
     ):
         points = [(r["step"], r[key]) for r in log if r.get(key) is not None]
-        svg = line_chart(*zip(*points, strict=True), x_label="step", y_label=label, log=is_log) if points else ""
+        svg = (
+            line_chart(*zip(*points, strict=True), x_label="step", y_label=label, log=is_log) if len(points) > 1 else ""
+        )
         if svg:
             charts.append(f'<div class="chart" data-curve="{key}"><h3>{heading}</h3>{svg}</div>')
     return f'<div class="charts">{"".join(charts)}</div>' if charts else ""
