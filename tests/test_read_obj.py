@@ -116,7 +116,9 @@ def test_physically_based_maps(tmp_path):
     np.testing.assert_allclose(material.specular, [[[0, 0.2, 1], [0, 0.4, 1]]], atol=1e-6)
     np.testing.assert_allclose(material.base_color[:, 0], [[0.5, 0.5, 0.5, 0], [0.5, 0.5, 0.5, 1]])
     np.testing.assert_allclose(material.normal, [[[1, 0, 0]]], atol=0.01)
-    assert material.alpha_mode == "BLEND"
+    assert material.alpha_mode == "MASK"  # nothing between 0 and 1
+    path = write(tmp_path, QUAD, "newmtl paint\nmap_d mask.png\n", mask=np.uint8([[0], [100]]))
+    assert load_asset(path).parts[0].material.alpha_mode == "BLEND"
 
 
 def test_bump_maps_count_where_they_hold_normals(tmp_path):

@@ -199,8 +199,14 @@ def test_transform_of_coordinates_happens_bottom_up(stage, tmp_path):
     # st (1, 0) is scaled to (.5, 0), turned to (0, .5), moved to (.5, .5); v then points down.
     corner = np.flatnonzero((part.vertices == [1, 0, 0]).all(1))[0]
     np.testing.assert_allclose(part.uvs[corner], [0.5, 0.5], atol=1e-6)
-    corner = np.flatnonzero((part.vertices == [0, 1, 0]).all(1))[0]
-    np.testing.assert_allclose(part.uvs[corner], [0, 1], atol=1e-6)
+    # A node before it acts first: st (1, 0) is moved to (2, 0), then as above to (.5, 1).
+    first = UsdShade.Shader.Define(stage, "/World/Paint/first")
+    first.CreateIdAttr("UsdTransform2d")
+    first.CreateInput("translation", Sdf.ValueTypeNames.Float2).Set(Gf.Vec2f(1, 0))
+    first.CreateInput("in", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    node.GetInput("in").ConnectToSource(first.ConnectableAPI(), "result")
+    (part,) = load_asset(save(stage)).parts
+    np.testing.assert_allclose(part.uvs[corner], [0.5, 0], atol=1e-6)
 
 
 def test_display_colours(stage):

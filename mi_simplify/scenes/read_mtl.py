@@ -106,7 +106,9 @@ def _opacity(name: str, values: dict[str, str], resources: Resources) -> tuple[n
         return constant(min(factor, 1.0)), "BLEND" if factor < 1 else "OPAQUE"
     channel = opacity(image)
     channel = image[..., :1] if channel is None else channel
-    return to_float(channel, srgb=False) * np.float32(factor), "BLEND"
+    alpha = to_float(channel, srgb=False)
+    is_cut_out = factor >= 1 and np.isin(alpha, (0, 1)).all()
+    return alpha * np.float32(min(factor, 1.0)), "MASK" if is_cut_out else "BLEND"
 
 
 def _scalar(values: dict[str, str], key: str, map_key: str, default: float, resources: Resources) -> np.ndarray:
