@@ -206,7 +206,9 @@ def test_skin_stands_in_its_rest_pose(glb, tmp_path):
         {"name": "head", "translation": [0, 3, 0]},  # … where it now stands at (0, 8, 0), 7 higher
     )
     asset = load_asset(glb.save(tmp_path / "a.glb"))
-    np.testing.assert_allclose(asset.placed()[0].vertices - QUAD, [[0, 5, 0], [0, 5, 0], [0, 6, 0], [0, 7, 0]], atol=1e-6)
+    np.testing.assert_allclose(
+        asset.placed()[0].vertices - QUAD, [[0, 5, 0], [0, 5, 0], [0, 6, 0], [0, 7, 0]], atol=1e-6
+    )
     assert asset.notes == ("'man' is skinned; it is shown in its rest pose",)
 
 
