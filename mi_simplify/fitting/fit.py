@@ -130,8 +130,8 @@ class Fit:
         if self.config.views.background == "black":
             return mi.Color3f(0)
         pixel = dr.arange(mi.UInt32, n)
-        a, b = mi.sample_tea_32(pixel, seed + 17, 4)
-        c, _ = mi.sample_tea_32(pixel, seed + 18, 4)
+        a, b = mi.sample_tea_32(pixel, seed + 17, 6)
+        c, _ = mi.sample_tea_32(pixel, seed + 18, 6)
         return mi.Color3f(*(mi.Float(x) * 2.0**-32 for x in (a, b, c)))
 
     def psnr(self) -> float:

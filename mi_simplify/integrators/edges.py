@@ -146,7 +146,7 @@ class EdgeSet:
         sum_ = dr.gather(mi.Float, total, self.n_edges * cameras.n_views - 1)
 
         lane = dr.arange(mi.UInt32, n_samples)
-        r0, r1 = mi.sample_tea_32(lane, seed, 4)
+        r0, r1 = mi.sample_tea_32(lane, seed, 6)  # four are uneven, see film_samples
         target = (mi.Float(lane) + mi.Float(r0) * 2.0**-32) * (1 / n_samples) * sum_
         n_pairs = self.n_edges * cameras.n_views
         pair = dr.binary_search(0, n_pairs - 1, lambda i: dr.gather(mi.Float, total, i) <= target)
