@@ -116,13 +116,23 @@ def look_at(origin, target, light, *, width, height, fov=45.0, irradiance=np.pi,
         What the light sends onto a surface facing it at the target; π gives a white diffuse surface radiance 1.
     up : array_like, shape (B, 3) or (3,)
         Which way is up on the image; where it is parallel to the view direction another axis is taken.
+
+    Raises
+    ------
+    UserError
+        A camera stands at its target.
     """
-    origin, target, light, up = np.broadcast_arrays(*[np.atleast_2d(np.asarray(a, np.float64)) for a in (origin, target, light, up)])
+    vectors = [np.atleast_2d(np.asarray(a, np.float64)) for a in (origin, target, light, up)]
+    origin, target, light, up = np.broadcast_arrays(*vectors)
     forward = target - origin
-    forward = forward / np.linalg.norm(forward, axis=1, keepdims=True)
+    distance = np.linalg.norm(forward, axis=1, keepdims=True)
+    if np.any(distance == 0):
+        raise UserError("camera and target are the same point, so there is no direction to look in")
+    forward = forward / distance
     right = np.cross(forward, up)
     length = np.linalg.norm(right, axis=1, keepdims=True)
-    right = np.where(length > 1e-4, right, np.cross(forward, [0.0, 0.0, 1.0]))
+    across = np.eye(3)[np.argmin(np.abs(forward), axis=1)]
+    right = np.where(length > 1e-4, right, np.cross(forward, across))
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     distance2 = np.sum((light - target) ** 2, axis=1, keepdims=True)
     n = len(origin)
