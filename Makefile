@@ -44,6 +44,7 @@ slow: install
 
 lint: install
 	$(BIN)/ruff check .
+	$(BIN)/mypy
 
 format: install
 	$(BIN)/ruff check --fix .

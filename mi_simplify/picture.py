@@ -5,6 +5,7 @@ One picture of an asset, to see that it was read the right way up.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -46,7 +47,7 @@ def portrait_view(bounds: np.ndarray, *, resolution: int = 512, azimuth: float =
 
 
 def render_picture(
-    asset: Asset, *, transport: str = "baked", spp: int = 64, max_depth: int = 6, seed: int = 0, **view: float
+    asset: Asset, *, transport: str = "baked", spp: int = 64, max_depth: int = 6, seed: int = 0, **view: Any
 ) -> np.ndarray:
     """
     Render an asset once, under a point light and a dim sky.

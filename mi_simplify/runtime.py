@@ -192,8 +192,8 @@ class _AfterImport(importlib.abc.MetaPathFinder):
 
 def _libraries(folder: str) -> list[str]:
     """Files of a folder that are named like a libLLVM, newest first; links to one file count once."""
-    paths = glob.glob(os.path.join(glob.escape(folder), "*LLVM*"))
-    paths = {os.path.realpath(p) for p in paths if _LIBRARY_NAME.match(os.path.basename(p))}
+    named = glob.glob(os.path.join(glob.escape(folder), "*LLVM*"))
+    paths = {os.path.realpath(p) for p in named if _LIBRARY_NAME.match(os.path.basename(p))}
     return sorted(paths, key=lambda p: llvm_version(p) or 0, reverse=True)
 
 
@@ -205,7 +205,7 @@ def _require_llvm() -> None:
     """Raise unless Dr.Jit has loaded, or will load, an LLVM that can render."""
     way_out = f"install one with 'pip install {LLVM_WHEEL}', or let DRJIT_LIBLLVM_PATH name one"
     if "drjit" in sys.modules:  # which loads it on import
-        version, path = sys.modules["drjit"].detail.llvm_version()[0], "the LLVM that Dr.Jit loaded"
+        name, version = "the LLVM that Dr.Jit loaded", sys.modules["drjit"].detail.llvm_version()[0]
         way_out = f"import mi_simplify before drjit and mitsuba; {way_out}"
         if version < 0:
             raise RuntimeUnavailable(f"Dr.Jit found no libLLVM when it was imported; {way_out}")
@@ -217,13 +217,14 @@ def _require_llvm() -> None:
             raise RuntimeUnavailable(f"no libLLVM of version {OLDEST_LLVM} or newer{found}; {way_out}")
         if not Path(path).is_file():
             raise RuntimeUnavailable(f"DRJIT_LIBLLVM_PATH is '{path}', which is no file; unset it, or {way_out}")
-        version = llvm_version(path)
-        version = loaded_version(path) if version is None or version >= OLDEST_LLVM else version
+        name, version = path, llvm_version(path)
+        if version is None or version >= OLDEST_LLVM:  # a name may promise too much
+            version = loaded_version(path)
         if version is None:
             raise RuntimeUnavailable(f"'{path}' cannot be loaded as libLLVM; unset DRJIT_LIBLLVM_PATH, or {way_out}")
     if version < OLDEST_LLVM:
         raise RuntimeUnavailable(
-            f"{path} is version {version}, which aborts while rendering; {OLDEST_LLVM} or newer is needed: {way_out}"
+            f"{name} is version {version}, which aborts while rendering; {OLDEST_LLVM} or newer is needed: {way_out}"
         )
 
 
