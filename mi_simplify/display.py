@@ -9,9 +9,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from .progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import TaskID
 
 
 class Silent:
@@ -58,7 +62,7 @@ class Lines(Silent):
         parts = [progress.stage]
         if progress.n_steps:
             parts.append(f"{progress.step}/{progress.n_steps}")
-        parts += [text for text in (_figures(progress), progress.message) if text]
+        parts += [text for text in (self._clock.figures(progress), progress.message) if text]
         left = self._clock.left(progress)
         return "  ".join([*parts, f"{_duration(left)} left"] if left else parts)
 
@@ -72,12 +76,12 @@ class Bar(Silent):
     console : rich.console.Console
     """
 
-    def __init__(self, console):
+    def __init__(self, console: Console):
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
         from rich.progress import Progress as Display
 
         self._clock = _Clock()
-        self._task = None
+        self._task: TaskID | None = None
         self._display = Display(
             TextColumn("{task.description:12}"),
             BarColumn(),
@@ -94,13 +98,13 @@ class Bar(Silent):
         self._display.stop()
 
     def __call__(self, progress: Progress) -> None:
-        if self._clock.update(progress):
+        if self._clock.update(progress) or self._task is None:
             if self._task is not None:  # the stage before is done
                 total = self._display.tasks[-1].total or 1
                 self._display.update(self._task, total=total, completed=total)
             self._task = self._display.add_task(progress.stage, total=progress.n_steps or None, note="")
         left = self._clock.left(progress)
-        notes = [_figures(progress), f"{_duration(left)} left" if left else "", progress.message]
+        notes = [self._clock.figures(progress), f"{_duration(left)} left" if left else "", progress.message]
         self._display.update(
             self._task,
             total=progress.n_steps or None,
@@ -110,30 +114,33 @@ class Bar(Silent):
 
 
 class _Clock:
-    """Since when the present stage runs, and so how long it still will."""
+    """What is remembered of a stage: since when it runs, and the PSNR that was measured last."""
 
     def __init__(self):
         self._stage: str | None = None
         self._first = (0, 0.0)
+        self._psnr: float | None = None
 
     def update(self, progress: Progress) -> bool:
         """Whether this is the first report of its stage."""
         begins = progress.stage != self._stage
         if begins or self._first[0] == 0:  # the first step compiles, so time is counted from its end
             self._stage, self._first = progress.stage, (progress.step, time.monotonic())
+        if begins or progress.psnr is not None:
+            self._psnr = progress.psnr
         return begins
+
+    def figures(self, progress: Progress) -> str:
+        """Loss and PSNR as far as they are known."""
+        loss = "" if progress.loss is None else f"loss {progress.loss:.4g}"
+        psnr = "" if self._psnr is None else f"PSNR {self._psnr:.1f} dB"
+        return "  ".join(text for text in (loss, psnr) if text)
 
     def left(self, progress: Progress) -> float:
         """Seconds, 0 where nothing is known yet."""
         step, start = self._first
         done = progress.step - step
         return (time.monotonic() - start) / done * (progress.n_steps - progress.step) if done > 0 else 0.0
-
-
-def _figures(progress: Progress) -> str:
-    loss = "" if progress.loss is None else f"loss {progress.loss:.4g}"
-    psnr = "" if progress.psnr is None else f"PSNR {progress.psnr:.1f} dB"
-    return "  ".join(text for text in (loss, psnr) if text)
 
 
 def _duration(seconds: float) -> str:
