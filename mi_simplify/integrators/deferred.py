@@ -8,7 +8,7 @@ what they see. Occluded edges give zero by themselves, so no visibility test is 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -40,10 +40,12 @@ class Frame:
     One rendered batch: its image, and what its gradient needs.
 
     ``image`` holds premultiplied radiance and coverage of every pixel, width ``B·height·width``, evaluated;
-    ``samples`` and ``pixel`` are those of the camera samples that hit something, None where none did.
+    ``samples`` and ``pixel`` are those of the camera samples that hit something, None where none did. ``packets`` and
+    ``cameras.packets`` are leaves of the graph: what gathers on them goes on to the surface and the views at the end.
     """
 
     image: mi.Vector4f
+    views: mi.Float
     cameras: Cameras
     packets: mi.Float
     samples: mi.Vector4f | None
@@ -109,6 +111,10 @@ class DeferredRenderer:
         see the background, so shading and its derivative run over a fraction of them.
         """
         cameras = Cameras.of(views)
+        attached = cameras.packets
+        cameras = replace(cameras, packets=dr.detach(attached))
+        if dr.grad_enabled(attached):
+            dr.enable_grad(cameras.packets)
         packets = dr.detach(surface.packets)
         _, view, x, y = film_samples(cameras, spp, seed)
         face = trace(self.tracer.scene, *cameras.ray(view, x, y))[0]
@@ -117,7 +123,7 @@ class DeferredRenderer:
         hits = dr.compress(is_hit)
         n_hits = dr.width(hits)
         if n_hits == 0:
-            return Frame(dr.zeros(mi.Vector4f, cameras.n_pixels), cameras, packets, None, None, None, spp)
+            return Frame(dr.zeros(mi.Vector4f, cameras.n_pixels), attached, cameras, packets, None, None, None, spp)
 
         face = dr.gather(mi.UInt32, face, hits)
         pixel, view, x, y = film_samples(cameras, spp, seed, hits)
@@ -133,13 +139,14 @@ class DeferredRenderer:
             dr.scatter_reduce(dr.ReduceOp.Add, image, value * (1 / spp), pixel, mode=dr.ReduceMode.Local)
         dr.eval(image, flags)
         image = dr.gather(mi.Vector4f, image, dr.arange(mi.UInt32, cameras.n_pixels))
-        return Frame(image, cameras, packets, samples, pixel, Lookup(footprint, offset, TouchedBlocks.of(flags)), spp)
+        lookup = Lookup(footprint, offset, TouchedBlocks.of(flags))
+        return Frame(image, attached, cameras, packets, samples, pixel, lookup, spp)
 
     def backward(
         self, frame: Frame, grad_image: mi.Vector4f, surface: Surface, textures: Textures, positions: mi.Float, seed: mi.UInt32
     ) -> TexelGradient | None:
         """
-        Carry the derivative of a loss by the image to positions and texels.
+        Carry the derivative of a loss by the image to positions and texels, and to the views where they are attached.
 
         Parameters
         ----------
@@ -172,13 +179,18 @@ class DeferredRenderer:
                 dr.set_grad(surface.packets, packets_grad)
                 dr.enqueue(dr.ADMode.Backward, surface.packets)
                 dr.traverse(dr.ADMode.Backward)
-        if self.edge_fraction > 0 and dr.grad_enabled(positions):
+        views_move = dr.grad_enabled(frame.views)
+        if self.edge_fraction > 0 and (views_move or dr.grad_enabled(positions)):
             self._boundary(frame, grad_flat, textures, positions, seed)
+        if views_move:
+            dr.set_grad(frame.views, dr.grad(frame.cameras.packets))
+            dr.enqueue(dr.ADMode.Backward, frame.views)
+            dr.traverse(dr.ADMode.Backward)
         return texel_grad
 
     def _boundary(self, frame: Frame, grad_flat: mi.Float, textures: Textures, positions: mi.Float, seed: mi.UInt32) -> None:
         """
-        Add the gradient that moving edges have on the image, to ``positions``.
+        Add the gradient that moving edges have on the image, to ``positions`` and cameras.
         """
         cameras = frame.cameras
         n = max(64, int(cameras.n_pixels * frame.spp * self.edge_fraction))
