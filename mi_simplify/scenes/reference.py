@@ -4,6 +4,7 @@ What the latent model is fitted to: anything that turns views into images.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from typing import Protocol
 
@@ -14,6 +15,8 @@ from ..errors import AssetError, UserError
 from .asset import Asset
 from .shapes import asset_shapes
 from .views import Views
+
+log = logging.getLogger("mi_simplify")
 
 #: What the reference images contain, see DESIGN "Transport" and docs/how-it-works.md.
 TRANSPORTS = ("direct", "baked", "matched")
@@ -100,7 +103,7 @@ class MitsubaReference:
             self._params["view_light.position"] = mi.Point3f(arrays["light_position"][k])
             self._params["view_light.intensity.value"] = mi.Color3f(arrays["light_intensity"][k])
             self._params.update()
-            out[k] = mi.render(self._scene, spp=self.spp, seed=seed * len(views) + k).numpy()
+            out[k] = mi.render(self._scene, spp=self.spp, seed=(seed * len(views) + k) % 2**32).numpy()
         return out
 
 
@@ -163,13 +166,16 @@ def make_reference(
 
 def scene_reference(path: str, *, transport: str = "baked", spp: int = 32, max_depth: int = 6) -> MitsubaReference:
     """
-    The shapes of a Mitsuba XML scene as a reference; its own sensors, integrator and lights stay out.
+    The shapes of a Mitsuba XML scene as a reference; its sensors, integrator and lights, shapes that emit too, stay out.
     """
     try:
         scene = mi.load_file(str(path), optimize=False)
     except Exception as error:  # Mitsuba raises plain RuntimeError for everything
         raise AssetError(f"{path}: Mitsuba cannot load this scene: {str(error).splitlines()[0]}") from error
-    shapes = {f"shape_{k}": shape for k, shape in enumerate(scene.shapes())}
+    lit = [shape for shape in scene.shapes() if not shape.is_emitter()]
+    if len(lit) < len(scene.shapes()):
+        log.warning("%s: %d shapes are area lights and stay out", path, len(scene.shapes()) - len(lit))
+    shapes = {f"shape_{k}": shape for k, shape in enumerate(lit)}
     if not shapes:
         raise AssetError(f"{path}: the scene has no shapes")
     return MitsubaReference(shapes, _integrator(transport, max_depth, True), spp)
