@@ -59,7 +59,7 @@ class Section(BaseModel):
 class Reference(Section):
     """How the target images are rendered."""
 
-    transport: Literal["direct", "baked"] = Field(
+    transport: Literal["direct", "baked", "matched"] = Field(
         "direct",
         description="`direct`: direct light without shadows on both sides, materials stay clean. `baked`: full path "
         "tracing, shadows and indirect light end up in the textures.",

@@ -24,6 +24,7 @@ from ..scenes.views import goniometer
 from .laplacian import Laplacian
 from .losses import frame_loss, image_loss, srgb
 from .pool import ViewPool
+from .residual import PathResidual
 from .schedules import exponential, laplacian_weight, resolution_at
 from .texels import TexelAdam
 from .vertices import VertexSteps
@@ -59,7 +60,8 @@ class Fit:
         optimize, rates = set(config.latent.optimize), config.optimizer.rates
         self.latent = Latent(model, extended=bool(optimize & {"opacity", "gamma"}) or model.alpha_mode != "OPAQUE")
         mesh = self.latent.topology.mesh
-        self.renderer = DeferredRenderer(self.latent.topology, form=config.latent.shading)
+        matched = config.reference.transport == "matched"
+        self.renderer = DeferredRenderer(self.latent.topology, form=config.latent.shading, shadows=matched)
         large_steps = config.optimizer.large_steps
         self.vertices = VertexSteps(
             mesh.positions, mesh.position_faces, rates.vertices, large_steps.lambda_ if large_steps.enabled else 0.0
@@ -81,7 +83,13 @@ class Fit:
             _draw, distance=view.distance, jitter=view.jitter, fov=view.fov, exponent=view.light.exponent,
             irradiance=view.light.intensity / view.light.distance**2,
         )  # fmt: skip
-        self.pool = ViewPool(reference, draw, config.reference.pool, np.random.default_rng(config.seed))
+        residual = None
+        if matched:
+            residual = PathResidual(
+                self._state, self.renderer,
+                spp=config.reference.spp, max_depth=config.reference.max_depth, form=config.latent.shading,
+            )  # fmt: skip
+        self.pool = ViewPool(reference, draw, config.reference.pool, np.random.default_rng(config.seed), residual)
         self.held_out = draw(min(config.evaluation.views, 4), np.random.default_rng(config.seed + 1), 128)
         self._held_out_images = reference.render(self.held_out, seed=1)
 
@@ -92,9 +100,11 @@ class Fit:
         config, progress = self.config, index / max(1, self.config.optimizer.steps)
         resolution = resolution_at(progress, config.optimizer.resolution)
         batch = config.optimizer.batch
-        short = 2 * batch - len(self.pool) if self.pool.resolution == resolution else 2 * batch
-        self.pool.grow(max(config.reference.refresh, short), resolution)
-        views, reference = self.pool.batch(batch)
+        if self.pool.resolution != resolution:
+            self.pool.grow(max(2 * batch, _REFRESH_EVERY * config.reference.refresh), resolution)
+        elif index % _REFRESH_EVERY == 0:
+            self.pool.grow(_REFRESH_EVERY * config.reference.refresh, resolution)
+        views, reference, residual = self.pool.batch(batch)
         seed = dr.opaque(mi.UInt32, (config.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
 
         positions = self.vertices.positions()
@@ -106,7 +116,7 @@ class Fit:
         frame = self.renderer.render(surface, self.latent.textures, views, spp=config.optimizer.spp, seed=seed)
 
         background = self._background(dr.width(frame.image), seed)
-        loss, grad_image = frame_loss(frame.image, reference, background, self.loss, self._coverage)
+        loss, grad_image = frame_loss(frame.image + residual, reference, background, self.loss, self._coverage)
         texel_grad = self.renderer.backward(
             frame, grad_image, surface, self.latent.textures, leaf, seed ^ dr.opaque(mi.UInt32, 0x5BD1E995)
         )
@@ -134,17 +144,22 @@ class Fit:
         c, _ = mi.sample_tea_32(pixel, seed + 18, 6)
         return mi.Color3f(*(mi.Float(x) * 2.0**-32 for x in (a, b, c)))
 
+    def _state(self):
+        with dr.suspend_grad():
+            positions = self.vertices.positions()
+            self.renderer.move(positions)
+            return self.latent.model(positions.numpy()), self.latent.evaluate(positions), self.latent.textures
+
     def psnr(self) -> float:
         """
         Of held-out views [dB], clipped sRGB on black, mean over views.
         """
+        _, surface, textures = self._state()
         with dr.suspend_grad():
-            positions = self.vertices.positions()
-            self.renderer.move(positions)
-            surface = self.latent.evaluate(positions)
-            seed = dr.opaque(mi.UInt32, 1)
-            frame = self.renderer.render(surface, self.latent.textures, self.held_out, spp=16, seed=seed)
+            frame = self.renderer.render(surface, textures, self.held_out, spp=16, seed=dr.opaque(mi.UInt32, 1))
         image = frame.image.numpy().T.reshape(self._held_out_images.shape)
+        if self.pool.residual is not None:
+            image = image + self.pool.residual.render(self.held_out, 1)
         a, b = (np.asarray(srgb(mi.Float(np.clip(x[..., :3], 0, 1).ravel()))) for x in (image, self._held_out_images))
         mse = ((a - b) ** 2).reshape(len(image), -1).mean(1)
         return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-10))))
@@ -204,6 +219,9 @@ def fit(
             on_step(run, index)
     return FitResult(run.model() if n_steps else model, records)
 
+
+#: Steps between two renewals of the pool: fewer, larger ones cost less.
+_REFRESH_EVERY = 16
 
 #: Steps between two readings of the loss; each waits for the device.
 _LOG_EVERY = 10

@@ -26,10 +26,19 @@ class ViewPool:
         Views held at most.
     rng : numpy.random.Generator
         Of views and batches; its state is all that decides them.
+    residual : Reference, optional
+        Images to subtract: what the latent renderer does not compute (see ``residual.PathResidual``).
     """
 
-    def __init__(self, reference: Reference, draw: Callable, capacity: int, rng: np.random.Generator):
-        self.reference, self.draw, self.capacity, self.rng = reference, draw, capacity, rng
+    def __init__(
+        self,
+        reference: Reference,
+        draw: Callable,
+        capacity: int,
+        rng: np.random.Generator,
+        residual: Reference | None = None,
+    ):
+        self.reference, self.draw, self.capacity, self.rng, self.residual = reference, draw, capacity, rng, residual
         self.n_rendered = 0
         self._views: list[dict[str, np.ndarray]] = []
         self._images: list[np.ndarray] = []
@@ -48,7 +57,10 @@ class ViewPool:
         if n == 0:
             return
         views = self.draw(n, self.rng, resolution)
-        images = self.reference.render(views, seed=int(self.rng.integers(2**31)))
+        seed = int(self.rng.integers(2**31))
+        images = self.reference.render(views, seed)
+        if self.residual is not None:
+            images = np.concatenate([images, self.residual.render(views, seed)], axis=3)
         arrays = views.arrays()
         for k in range(n):
             view, image = {key: value[k] for key, value in arrays.items()}, images[k].astype(np.float16)
@@ -60,12 +72,13 @@ class ViewPool:
             self._next = (self._next + 1) % self.capacity
         self.n_rendered += n
 
-    def batch(self, n: int) -> tuple[Views, mi.Vector4f]:
+    def batch(self, n: int) -> tuple[Views, mi.Vector4f, mi.Vector4f]:
         """
-        ``n`` different views of the pool (all of them where it holds fewer) and their images, width ``n·H·W``.
+        ``n`` different views of the pool (some of them twice where it holds fewer), their images and residuals, width ``n·H·W``.
         """
         pick = self.rng.choice(len(self._images), size=n, replace=len(self._images) < n)
         arrays = {key: np.stack([self._views[i][key] for i in pick]) for key in self._views[0]}
         views = Views.from_arrays(arrays, self.resolution, self.resolution)
-        images = np.stack([self._images[i] for i in pick]).astype(np.float32).reshape(-1, 4)
-        return views, mi.Vector4f(np.ascontiguousarray(images.T))
+        images = np.stack([self._images[i] for i in pick]).astype(np.float32)
+        planes = np.ascontiguousarray(images.reshape(-1, images.shape[-1]).T)
+        return views, mi.Vector4f(planes[:4]), mi.Vector4f(planes[4:]) if self.residual is not None else mi.Vector4f(0)

@@ -19,7 +19,7 @@ from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
 from .camera import Cameras, film_samples
 from .edges import EDGE_STEP, EdgeSet, edge_table
-from .gbuffer import MISS, fragment, trace
+from .gbuffer import MISS, fragment, occluded, trace
 from .shading import shade
 
 
@@ -65,11 +65,15 @@ class DeferredRenderer:
         Mixing of the lobes.
     edge_fraction : float
         Edge samples for one camera sample.
+    shadows : bool
+        Test the visibility of the light; a constant, the borders of shadows have no gradient.
     """
 
-    def __init__(self, topology: MeshTopology, *, form: str = "gltf", edge_fraction: float = 0.25):
+    def __init__(
+        self, topology: MeshTopology, *, form: str = "gltf", edge_fraction: float = 0.25, shadows: bool = False
+    ):
         mesh = topology.mesh
-        self.topology, self.form, self.edge_fraction = topology, form, edge_fraction
+        self.topology, self.form, self.edge_fraction, self.shadows = topology, form, edge_fraction, shadows
         self.tracer = MovingMesh(mesh.positions, mesh.position_faces)
         table = edge_table(mesh.position_faces, mesh.faces)
         self.edges = EdgeSet(table, mesh.position_faces)
@@ -90,6 +94,8 @@ class DeferredRenderer:
         value = textures.lookup(footprint)
         texels = textures.unpack(value if offset is None else value + offset)
         light, intensity = cameras.fetch(view, 4).xyz, cameras.fetch(view, 5).xyz
+        if self.shadows:
+            intensity = dr.select(occluded(self.tracer.scene, hit, mi.Point3f(light)), 0, intensity)
         return shade(hit, texels, direction, light, intensity, self.form), footprint
 
     def render(self, surface: Surface, textures: Textures, views: Views, *, spp: int, seed: mi.UInt32) -> Frame:

@@ -23,7 +23,7 @@ class Fragment:
     Surface attributes where a ray meets a known triangle; all follow the surface along the *fixed* ray.
 
     ``normal`` and ``tangent`` are interpolated, ``normal`` is unit length, ``tangent`` neither unit nor
-    orthogonal; ``handedness`` is ±1; ``is_back`` says that the ray meets the back of the triangle.
+    orthogonal; ``handedness`` is ±1; ``geometric_normal`` is detached; ``is_back`` says that the ray meets the back of the triangle.
     """
 
     p: mi.Point3f
@@ -33,6 +33,7 @@ class Fragment:
     u: mi.Float
     v: mi.Float
     is_back: mi.Bool
+    geometric_normal: mi.Vector3f
     active: mi.Bool
 
 
@@ -90,5 +91,24 @@ def fragment(surface: Surface, face: mi.UInt32, origin: mi.Point3f, direction: m
         u=a[0].w * b0 + a[1].w * b1 + a[2].w * b2,
         v=b[0].w * b0 + b[1].w * b1 + b[2].w * b2,
         is_back=dr.detach(det) < 0,
+        geometric_normal=dr.detach(dr.normalize(dr.cross(e1, e2))),
         active=active,
     )
+
+
+def occluded(scene: mi.Scene, hit: Fragment, light: mi.Point3f) -> mi.Bool:
+    """
+    Whether something lies between a fragment and a point light; detached.
+    """
+    p = dr.detach(hit.p)
+    to_light = dr.detach(light) - p
+    distance = dr.norm(to_light)
+    d = to_light / distance
+    # Off the surface on the light's side, in proportion to the size of the numbers, as Mitsuba's spawn_ray does.
+    n = dr.detach(hit.geometric_normal)
+    offset = dr.mulsign(n, dr.dot(n, d)) * ((1 + dr.max(dr.abs(p))) * RAY_EPSILON)
+    return scene.ray_test(mi.Ray3f(p + offset, d, distance * (1 - SHADOW_EPSILON), 0.0, []), active=hit.active)
+
+
+RAY_EPSILON = 1e-4 * 0.9
+SHADOW_EPSILON = 1e-3

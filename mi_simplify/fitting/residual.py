@@ -1,0 +1,67 @@
+"""
+What the latent renderer leaves out, as a constant: the `matched` transport.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..integrators.deferred import DeferredRenderer
+from ..latent.model import Model
+from ..latent.surface import Surface
+from ..latent.textures import Textures
+from ..scenes.reference import make_reference
+from ..scenes.views import Views
+
+
+class PathResidual:
+    """
+    ``path(θ) - direct(θ)`` of the current latent model: indirect light, to be added to the differentiable image.
+
+    With it the latent image has the values of a path tracer and the gradients of the direct renderer, so that a path-traced
+    reference leaves neither shadows nor indirect light in the textures. The residual belongs to a view and is as old as
+    the view is in the pool.
+
+    Parameters
+    ----------
+    current : callable
+        ``current() -> (Model, Surface, Textures)``: the state θ.
+    renderer : DeferredRenderer
+        With shadows; holds the current positions.
+    spp, max_depth : int
+        Of the path tracer.
+    form : str
+        Mixing of the lobes.
+    """
+
+    def __init__(
+        self,
+        current: Callable[[], tuple[Model, Surface, Textures]],
+        renderer: DeferredRenderer,
+        *,
+        spp: int,
+        max_depth: int,
+        form: str,
+    ):
+        self._current, self._renderer = current, renderer
+        self._spp, self._max_depth, self._form = spp, max_depth, form
+
+    def render(self, views: Views, seed: int = 0) -> np.ndarray:
+        """
+        Residual radiance, shape (B, height, width, 4); coverage is 0.
+        """
+        model, surface, textures = self._current()
+        tracer = make_reference(
+            model.as_asset(), transport="baked", spp=self._spp, max_depth=self._max_depth, form=self._form
+        )
+        path = tracer.render(views, seed)
+        with dr.suspend_grad():
+            frame = self._renderer.render(surface, textures, views, spp=self._spp, seed=dr.opaque(mi.UInt32, seed % 2**31))
+        direct = frame.image.numpy().T.reshape(path.shape)
+        residual = path - direct
+        residual[..., 3] = 0
+        return residual
