@@ -39,7 +39,7 @@ def write(folder: Path, text: str) -> Path:
         ("optimizer=3", "^optimizer: is a section, "),
         ("views.fov=.nan", "^views.fov: should be a finite number"),
         ("views.fov=180", "^views.fov: should be less than 180, got 180$"),
-        ("reference.transport=full", "^reference.transport: should be 'direct' or 'baked', got 'full'$"),
+        ("reference.transport=full", "^reference.transport: should be 'direct', 'baked' or 'matched', got 'full'$"),
         ("latent.optimize=[normals]", "^latent.optimize.0: should be 'vertices', .*got 'normals'$"),
         ("latent.optimize=[normal, normal]", "^latent.optimize: should name nothing twice$"),
         ("initial.triangles=3", "^initial.triangles: should be greater than or equal to 4, got 3$"),

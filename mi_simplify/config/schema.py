@@ -62,7 +62,8 @@ class Reference(Section):
     transport: Literal["direct", "baked", "matched"] = Field(
         "direct",
         description="`direct`: direct light without shadows on both sides, materials stay clean. `baked`: full path "
-        "tracing, shadows and indirect light end up in the textures.",
+        "tracing, shadows and indirect light end up in the textures. `matched`: full path tracing, and what the small "
+        "model's direct light lacks is added to it as a constant, so that materials stay clean.",
     )
     spp: int = Field(32, ge=1, le=65536, description="Samples per pixel of a reference image.")
     max_depth: int = Field(6, ge=2, le=1024, description="Longest light path, in edges; only path tracing reads it.")
