@@ -36,8 +36,12 @@ class GgxGamma(mi.BSDF):
          UVs. The bitangent follows mirrored charts.
      * - mesh_tangents
        - |bool|
-       - The tangent is the mesh attribute `vertex_tangent` (3 floats, interpolated as in MikkTSpace) instead of ∂p/∂u of the
-         face. (Default: false)
+       - The tangent is the mesh attribute `vertex_tangent` (3 floats, interpolated as in MikkTSpace) instead of
+         ∂p/∂u of the face. Not for meshes in a `shapegroup`, whose attributes stay untransformed. (Default: false)
+     * - vertex_colors
+       - |bool|
+       - Base colour and opacity are multiplied by the mesh attributes `vertex_color` (3 floats, linear) and
+         `vertex_opacity` (1 float). (Default: false)
      * - form
        - |string|
        - `gltf` (glTF 2.0 Appendix B mixing) or `paper` (Hasselgren et al. 2021). (Default: gltf)
@@ -61,6 +65,7 @@ class GgxGamma(mi.BSDF):
         self.opacity_cutoff = props.get("opacity_cutoff", 0.0)
         self.normal_map = props.get_texture("normal_map") if props.has_property("normal_map") else None
         self.mesh_tangents = props.get("mesh_tangents", False)
+        self.vertex_colors = props.get("vertex_colors", False)
         self.form = microfacet.check_form(props.get("form", "gltf"))
         sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide | mi.BSDFFlags.SpatiallyVarying
         lobes = [mi.BSDFFlags.DiffuseReflection | sides, mi.BSDFFlags.GlossyReflection | sides]
@@ -82,6 +87,8 @@ class GgxGamma(mi.BSDF):
         if self.opacity is None:
             return mi.Float(1)
         value = self.opacity.eval_1(si, active)
+        if self.vertex_colors:
+            value *= si.shape.eval_attribute_1("vertex_opacity", si, active)
         return dr.select(value >= self.opacity_cutoff, mi.Float(1), 0) if self.opacity_cutoff > 0 else value
 
     def shading_frame(self, si, active=True) -> mi.Frame3f:
@@ -114,9 +121,12 @@ class GgxGamma(mi.BSDF):
         return tangent, dr.select(mirrored, mi.Float(-1), mi.Float(1))
 
     def _inputs(self, si, active):
+        base_color = mi.Color3f(self.base_color.eval(si, active))
+        if self.vertex_colors:
+            base_color *= mi.Color3f(si.shape.eval_attribute_3("vertex_color", si, active))
         roughness = dr.maximum(self.roughness.eval_1(si, active), microfacet.MIN_ROUGHNESS)
         return (
-            mi.Color3f(self.base_color.eval(si, active)),
+            base_color,
             self.gamma.eval_1(si, active),
             roughness,
             self.metallic.eval_1(si, active),

@@ -21,7 +21,7 @@ from .asset import Asset, Material, Part
 POSITIONS, FACES, NORMALS, UVS = "vertex_positions", "faces", "vertex_normals", "vertex_texcoords"
 
 
-def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents=None) -> mi.Mesh:
+def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents=None, colors=None) -> mi.Mesh:
     """
     A Mitsuba mesh from arrays.
 
@@ -34,6 +34,8 @@ def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents
     uvs : ndarray, shape (V, 2), optional
         Origin top left, as Mitsuba's bitmaps have it.
     bsdf : mi.BSDF, optional
+    colors : ndarray, shape (V, 4), optional
+        Linear colour and opacity, which become the mesh attributes ``vertex_color`` and ``vertex_opacity``.
     """
     props = mi.Properties()
     if bsdf is not None:
@@ -44,6 +46,9 @@ def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents
     )  # fmt: skip
     if tangents is not None:
         mesh.add_attribute("vertex_tangent", 3, np.ascontiguousarray(tangents, np.float32).ravel())
+    if colors is not None:
+        mesh.add_attribute("vertex_color", 3, np.ascontiguousarray(colors[:, :3], np.float32).ravel())
+        mesh.add_attribute("vertex_opacity", 1, np.ascontiguousarray(colors[:, 3], np.float32))
     params = mi.traverse(mesh)
     params[POSITIONS] = np.ascontiguousarray(vertices, np.float32).ravel()
     params[FACES] = np.ascontiguousarray(faces, np.uint32).ravel()
@@ -136,13 +141,15 @@ def _scalar(image: np.ndarray):
     return float(image[0, 0, 0]) if _constant(image) else bitmap(image)
 
 
-def material_bsdf(material: Material, *, mesh_tangents: bool = False, form: str = "gltf") -> dict:
+def material_bsdf(
+    material: Material, *, mesh_tangents: bool = False, vertex_colors: bool = False, form: str = "gltf"
+) -> dict:
     """
-    The ``ggx_gamma`` description of a material.
+    The ``ggx_gamma`` description of a material, for meshes with the attributes that the two switches speak of.
     """
     color = material.base_color[..., :3]
     base = {"type": "rgb", "value": [float(c) for c in color[0, 0]]} if _constant(color) else bitmap(color)
-    out = {"type": "ggx_gamma", "form": form, "base_color": base}
+    out = {"type": "ggx_gamma", "form": form, "base_color": base, "vertex_colors": vertex_colors}
     for channel, name in enumerate(("gamma", "roughness", "metallic")):
         out[name] = _scalar(material.specular[..., channel : channel + 1])
     if material.alpha_mode != "OPAQUE":
@@ -172,13 +179,17 @@ _MANY = 8
 def asset_shapes(asset: Asset, *, form: str = "gltf") -> dict[str, mi.Object]:
     """
     Mitsuba shapes of an asset for a scene dictionary; parts placed often become instances of a shape group.
+
+    Those map normals along ∂p/∂u of the face: a mesh attribute, such as the tangents of the others, stays in the
+    coordinates of the group.
     """
     counts = np.bincount([i.part for i in asset.instances], minlength=len(asset.parts))
     few = replace(asset, instances=tuple(i for i in asset.instances if counts[i.part] <= _MANY))
     bsdfs: dict[tuple, mi.BSDF] = {}
     out = {f"part_{k}": _part_mesh(f"part_{k}", part, bsdfs, form) for k, part in enumerate(few.placed())}
     for p in np.flatnonzero(counts > _MANY):
-        group = mi.load_dict({"type": "shapegroup", "mesh": _part_mesh(f"group_{p}", asset.parts[p], bsdfs, form)})
+        mesh = _part_mesh(f"group_{p}", asset.parts[p], bsdfs, form, in_group=True)
+        group = mi.load_dict({"type": "shapegroup", "mesh": mesh})
         out[f"group_{p}"] = group
         for k, inst in enumerate(i for i in asset.instances if i.part == p):
             to_world = mi.ScalarTransform4f(inst.to_world)
@@ -186,26 +197,27 @@ def asset_shapes(asset: Asset, *, form: str = "gltf") -> dict[str, mi.Object]:
     return out
 
 
-def _part_mesh(name: str, part: Part, bsdfs: dict[tuple, mi.BSDF], form: str) -> mi.Mesh:
+def _part_mesh(name: str, part: Part, bsdfs: dict[tuple, mi.BSDF], form: str, in_group: bool = False) -> mi.Mesh:
     normals = part_normals(part)
-    part = _oriented(part, normals)
-    vertices, faces, uvs, tangents = part.vertices, part.faces, part.uvs, None
-    if part.material.normal is not None and uvs is not None:
-        vertices, normals, uvs, faces, tangents = _tangent_vertices(part, normals)
-    key = (id(part.material), tangents is not None)
+    part, tangents = _oriented(part, normals), None
+    if part.material.normal is not None and part.uvs is not None and not in_group:
+        part, normals, tangents = _with_tangents(part, normals)
+    attributes = {"mesh_tangents": tangents is not None, "vertex_colors": part.colors is not None}
+    key = (id(part.material), *attributes.values())
     if key not in bsdfs:
-        bsdfs[key] = mi.load_dict(material_bsdf(part.material, mesh_tangents=tangents is not None, form=form))
-    return make_mesh(name, vertices, faces, normals, uvs, bsdfs[key], tangents)
+        bsdfs[key] = mi.load_dict(material_bsdf(part.material, **attributes, form=form))
+    return make_mesh(name, part.vertices, part.faces, normals, part.uvs, bsdfs[key], tangents, part.colors)
 
 
-def _tangent_vertices(part: Part, normals: np.ndarray):
+def _with_tangents(part: Part, normals: np.ndarray) -> tuple[Part, np.ndarray, np.ndarray]:
     """
-    Vertices merged where position, normal and UV are equal, split where the texture is mirrored, with tangents.
+    Vertices merged where all their data are equal, split where the texture is mirrored; normals and tangents of them.
     """
-    rows = np.concatenate([part.vertices, normals, part.uvs], axis=1)
-    rows, index = weld(rows)
-    faces = index[part.faces]
-    mesh = split_mirrored(Mesh(rows[:, :3], np.arange(len(rows)), rows[:, 6:].astype(np.float32), faces))
-    n = rows[:, 3:6]
-    tangents, _ = vertex_tangents(mesh, n)
-    return mesh.vertices, n[mesh.position_index], mesh.uvs, mesh.faces, tangents
+    colors = [] if part.colors is None else [part.colors]
+    rows, index = weld(np.concatenate([part.vertices, normals, part.uvs, *colors], axis=1))
+    uvs = rows[:, 6:8].astype(np.float32)
+    mesh = split_mirrored(Mesh(rows[:, :3], np.arange(len(rows)), uvs, index[part.faces]))
+    tangents, _ = vertex_tangents(mesh, rows[:, 3:6])
+    row = rows[mesh.position_index]
+    colors = None if part.colors is None else row[:, 8:].astype(np.float32)
+    return replace(part, vertices=mesh.vertices, faces=mesh.faces, uvs=mesh.uvs, colors=colors), row[:, 3:6], tangents
