@@ -80,8 +80,8 @@ class MeshTopology:
         t = dr.gather(mi.Vector3f, tangents, dr.arange(mi.UInt32, self.n_vertices))
         t -= n * dr.dot(n, t)
         length2 = dr.squared_norm(t)
-        # A vertex whose tangents cancel, or without UV area: any direction in the plane, without a gradient.
-        t = dr.select(length2 > 1e-12, t * dr.rsqrt(dr.maximum(length2, 1e-12)), dr.detach(mi.coordinate_system(n)[0]))
+        # A vertex whose tangents cancel, or without UV area: the direction that the export takes, without a gradient.
+        t = dr.select(length2 > 1e-12, t * dr.rsqrt(dr.maximum(length2, 1e-12)), dr.detach(_any_tangent(n)))
         values = [p.x, p.y, p.z, self._uv.x, n.x, n.y, n.z, self._uv.y, t.x, t.y, t.z, self._w]
         packets = dr.zeros(mi.Float, self.n_vertices * 12)
         for k in range(3):
@@ -110,6 +110,15 @@ class MeshTopology:
             angle = _angle(plane(face_p[(c + 1) % 3] - face_p[c]), plane(face_p[(c + 2) % 3] - face_p[c]))
             dr.scatter_add(total, plane(_unit(flat)) * angle, self.face_vertices[c], self._has_tangent)
         return total
+
+
+def _any_tangent(n: mi.Vector3f) -> mi.Vector3f:
+    """
+    A direction in the plane of ``n``: across the axis that is farthest from it, as ``tangents.vertex_tangents`` has it.
+    """
+    x, y, z = dr.abs(n)
+    side = dr.select(y <= z, mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1))
+    return _unit(dr.cross(dr.select((x <= y) & (x <= z), mi.Vector3f(1, 0, 0), side), n))
 
 
 def _unit(x: mi.Vector3f) -> mi.Vector3f:
