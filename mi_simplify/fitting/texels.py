@@ -88,4 +88,6 @@ class TexelAdam:
 
     def restore(self, state: dict) -> None:
         """Inverse of :meth:`state`."""
-        self.m, self.v, self.count = (mi.Float(state[k]) for k in ("m", "v", "count"))
+        # Copied: an array made of NumPy memory borrows it, and steps are written in place.
+        self.m, self.v, self.count = (mi.Float(state[k]) + dr.opaque(mi.Float, 0) for k in ("m", "v", "count"))
+        dr.eval(self.m, self.v, self.count)

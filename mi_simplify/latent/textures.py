@@ -189,7 +189,8 @@ class Textures:
     @staticmethod
     def _wrap(i: mi.Int32, n: int) -> mi.Int32:
         i = i - n * mi.Int32(dr.floor(mi.Float(i) * (1 / n)))
-        return dr.clip(i, 0, n - 1)
+        # The quotient of a multiple of n may come out one off.
+        return dr.select(i < 0, i + n, dr.select(i >= n, i - n, i))
 
     def lookup(self, footprint: Footprint) -> mi.ArrayXf:
         """
