@@ -1,0 +1,146 @@
+"""Packed textures: bilinear lookup with wrap, its derivative by the UV, its transpose, and the way back to images."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mi_simplify.latent.textures import TexelGradient, Textures, TouchedBlocks
+
+
+def images(height, width, seed=0):
+    """Base colour, specular and unit normals, random."""
+    rng = np.random.default_rng(seed)
+    normal = rng.normal(size=(height, width, 3)) * 0.3 + [0, 0, 1]
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    return (*(rng.random((height, width, c)).astype(np.float32) for c in (4, 3)), normal.astype(np.float32))
+
+
+def planes(base_color, specular, normal, extended):
+    """Channels in the order in which a lookup gives them."""
+    out = [base_color[..., :3], specular[..., 1:3], normal]
+    if extended:
+        out += [base_color[..., 3:4], specular[..., :1], 0 * base_color[..., :2]]
+    return np.concatenate(out, axis=2).astype(np.float64)
+
+
+def ref_lookup(image, u, v):
+    """Bilinear with texel centres at (k + .5) / N, repeating; values and derivatives by u and v, in float64."""
+    h, w = image.shape[:2]
+    x, y = u * w - 0.5, v * h - 0.5
+    x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
+    a, b = image[y0 % h, x0 % w], image[y0 % h, (x0 + 1) % w]
+    c, d = image[(y0 + 1) % h, x0 % w], image[(y0 + 1) % h, (x0 + 1) % w]
+    value = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
+    return value, ((b - a) * (1 - fy) + (d - c) * fy) * w, ((c - a) * (1 - fx) + (d - b) * fx) * h
+
+
+def floats(x):
+    return mi.Float(np.asarray(x, np.float32))
+
+
+def lookup(textures, u, v):
+    return textures.lookup(textures.footprint(floats(u), floats(v))).numpy().T
+
+
+@pytest.mark.parametrize("extended", [False, True])
+@pytest.mark.parametrize(("height", "width"), [(8, 16), (5, 41), (1, 1), (1, 7)])
+def test_lookup_is_bilinear_and_repeats(height, width, extended):
+    three = images(height, width)
+    textures, rng = Textures(*three, extended), np.random.default_rng(1)
+    u, v = rng.uniform(-2.5, 3.5, (2, 3000)).astype(np.float32).astype(np.float64)
+    expected, _, _ = ref_lookup(planes(*three, extended), u, v)
+    got = lookup(textures, u, v)
+    assert got.shape == (3000, 12 if extended else 8)
+    slope = 3.5 * max(height, width) * 1e-6
+    assert np.abs(got - expected).max() < 1e-5 + slope
+
+
+@pytest.mark.parametrize("n", [2, 3, 7, 41, 47, 100, 512])
+def test_lookup_at_texel_centres_and_across_the_border(n):
+    three = images(n, n)
+    textures, image = Textures(*three), planes(*three, False)
+    centres = (np.arange(n) + 0.5) / n
+    assert np.allclose(lookup(textures, centres, centres), image[np.arange(n), np.arange(n)], atol=1e-4)
+    # Just past the last texel, where a float's rounding must not wrap to the wrong side, as often as one likes.
+    for turn in (0, 1, 2):
+        u = (np.array([n - 0.25, n, n + 0.25, n + 0.5, n + 1]) / n + turn).astype(np.float32)
+        expected, _, _ = ref_lookup(image, u.astype(np.float64), np.full(5, 0.5 / n))
+        assert np.allclose(lookup(textures, u, np.full(5, 0.5 / n)), expected, atol=2e-4 * (1 + turn) * n / 41)
+
+
+def test_derivative_by_the_uv():
+    three = images(6, 10)
+    textures, rng = Textures(*three), np.random.default_rng(2)
+    u, v = (((rng.integers(-3, 20, 500) + rng.uniform(0.1, 0.9, 500) + 0.5) / n) for n in (10, 6))
+    _, du, dv = ref_lookup(planes(*three, False), u, v)
+    weight = rng.normal(size=(500, 8))
+    for column, (du_, dv_) in enumerate(zip((du * weight).T, (dv * weight).T, strict=True)):
+        a, b = floats(u), floats(v)
+        dr.enable_grad(a, b)
+        dr.backward(textures.lookup(textures.footprint(a, b))[column] * floats(weight[:, column]))
+        assert np.allclose(dr.grad(a).numpy(), du_, atol=2e-3) and np.allclose(dr.grad(b).numpy(), dv_, atol=2e-3)
+
+
+@pytest.mark.parametrize("extended", [False, True])
+@pytest.mark.parametrize(("height", "width"), [(8, 8), (3, 5), (16, 9)])
+def test_gradient_is_the_transposed_lookup(height, width, extended):
+    """⟨lookup(x), g⟩ = ⟨x, lookupᵀ(g)⟩, in the touched blocks and nowhere else."""
+    textures, rng = Textures(*images(height, width), extended), np.random.default_rng(3)
+    n = 40
+    u, v = rng.uniform(-0.2, 0.7, (2, n))  # leaves a part of the texture alone
+    footprint = textures.footprint(floats(u), floats(v))
+    flags = TouchedBlocks.flags(textures, footprint)
+    dr.eval(flags)
+    g = rng.normal(size=(textures.n_channels, n)).astype(np.float32)
+    collected = TexelGradient.collect(textures, footprint, TouchedBlocks.of(flags), mi.ArrayXf(g))
+    dense = collected.dense(textures).numpy().reshape(height, width, textures.n_channels)
+
+    expected = np.zeros((height, width, textures.n_channels))
+    x0, y0 = np.floor(u * width - 0.5).astype(int), np.floor(v * height - 0.5).astype(int)
+    fx, fy = u * width - 0.5 - x0, v * height - 0.5 - y0
+    for dx, dy, w in ((0, 0, (1 - fx) * (1 - fy)), (1, 0, fx * (1 - fy)), (0, 1, (1 - fx) * fy), (1, 1, fx * fy)):
+        np.add.at(expected, ((y0 + dy) % height, (x0 + dx) % width), w[:, None] * g.T)
+    assert np.allclose(dense, expected, atol=1e-4)
+    value = lookup(textures, u, v)
+    data = textures.data.numpy()[: dense.size].reshape(dense.shape)
+    assert np.sum(value * g.T) == pytest.approx(np.sum(dense * data), rel=1e-3)
+    blocks = collected.blocks.numpy()
+    touched = np.unique(np.flatnonzero(np.any(expected != 0, axis=2)) // 4)
+    assert np.array_equal(blocks, touched) and len(blocks) < (height * width) // 4 + 1 + (height * width <= 16)
+
+
+def test_images_come_back():
+    three = images(5, 7)
+    base, specular, normal = three
+    full = Textures(*three, extended=True).images()
+    assert np.array_equal(full["base_color"], base) and np.array_equal(full["specular"], specular)
+    assert np.allclose(full["normal"], normal, atol=1e-6)
+    plain = Textures(*three).images()
+    assert np.array_equal(plain["base_color"][..., :3], base[..., :3]) and np.all(plain["base_color"][..., 3] == 1)
+    assert np.array_equal(plain["specular"][..., 1:], specular[..., 1:]) and np.all(plain["specular"][..., 0] == 0)
+    long = Textures(base, specular, normal * 3).images()["normal"]
+    assert np.allclose(np.linalg.norm(long, axis=2), 1, atol=1e-6)
+    assert all(x.dtype == np.float32 for x in full.values())
+
+
+@pytest.mark.parametrize("extended", [False, True])
+def test_channels_have_the_names_that_they_were_given_by(extended):
+    base, specular, normal = (np.arange(c, dtype=np.float32)[None, None] / 10 + o for c, o in ((4, 0), (3, 1), (3, 2)))
+    textures = Textures(base, specular, normal, extended)
+    t = textures.unpack(textures.lookup(textures.footprint(floats([0.3]), floats([0.8]))))
+    assert t.base_color.numpy().ravel().tolist() == pytest.approx([0, 0.1, 0.2])
+    assert (t.roughness[0], t.metallic[0]) == pytest.approx((1.1, 1.2))
+    assert t.normal.numpy().ravel().tolist() == pytest.approx([2, 2.1, 2.2])
+    assert (t.opacity[0], t.gamma[0]) == (pytest.approx((0.3, 1.0)) if extended else (1, 0))
+    assert textures.extended == extended and textures.n_texels == 1
+
+
+def test_textures_own_their_memory():
+    """The optimiser writes in place: never into the arrays that the first guess still holds."""
+    base, specular, normal = images(4, 4)
+    textures = Textures(base, specular, normal)
+    dr.scatter(textures.data, mi.Float(7), mi.UInt32(0))
+    dr.eval(textures.data)
+    assert textures.images()["base_color"][0, 0, 0] == 7 and base[0, 0, 0] < 1
