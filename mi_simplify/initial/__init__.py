@@ -1,1 +1,16 @@
 """The first guess: clean up, decimate, unwrap, bake."""
+
+from .bake import Baked as Baked
+from .bake import bake as bake
+from .cleanup import Soup as Soup
+from .cleanup import clean as clean
+from .cleanup import merge as merge
+from .decimate import decimate as decimate
+from .guess import first_guess as first_guess
+from .guess import quadrics_only as quadrics_only
+from .sphere import sphere as sphere
+from .unwrap import unwrap as unwrap
+
+__all__ = [
+    "Baked", "Soup", "bake", "clean", "decimate", "first_guess", "merge", "quadrics_only", "sphere", "unwrap",
+]  # fmt: skip
