@@ -24,7 +24,8 @@ def tonemap_log(x):
     """
     ``Γ(log(x + 1))``: robust to the full range of radiance (Hasselgren et al. 2021, Sect. 5.3).
     """
-    return srgb(dr.log(dr.maximum(x, 0) + 1))
+    # Not maximum(x, 0), which has no slope at 0: a black pixel that should be bright has to say so.
+    return srgb(dr.log(dr.select(x >= 0, x, 0) + 1))
 
 
 def log_l1(image, reference):
