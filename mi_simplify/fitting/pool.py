@@ -12,6 +12,8 @@ import numpy as np
 from ..scenes.reference import Reference
 from ..scenes.views import Views
 
+_HALF_MAX = float(np.finfo(np.float16).max)
+
 
 class ViewPool:
     """
@@ -61,9 +63,11 @@ class ViewPool:
         images = self.reference.render(views, seed)
         if self.residual is not None:
             images = np.concatenate([images, self.residual.render(views, seed)], axis=3)
+        # A point light in a mirror is brighter than half precision goes, and infinity would spread to everything.
+        images = np.clip(images, -_HALF_MAX, _HALF_MAX).astype(np.float16)
         arrays = views.arrays()
         for k in range(n):
-            view, image = {key: value[k] for key, value in arrays.items()}, images[k].astype(np.float16)
+            view, image = {key: value[k] for key, value in arrays.items()}, images[k].copy()
             if len(self._images) < self.capacity:
                 self._views.append(view)
                 self._images.append(image)
