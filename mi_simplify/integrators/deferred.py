@@ -18,7 +18,7 @@ from ..latent.textures import Footprint, TexelGradient, Textures, TouchedBlocks
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
 from .camera import Cameras, film_samples
-from .edges import EDGE_STEP, EdgeSet, edge_table
+from .edges import EdgeSet, edge_table
 from .gbuffer import MISS, fragment, occluded, trace
 from .shading import shade
 
@@ -219,13 +219,11 @@ class DeferredRenderer:
         """
         Radiance and coverage on the low side of each edge sample less those on its high side, width N.
         """
-        step = EDGE_STEP * max(cameras.width, cameras.height)
-
         def ray(lane):
             # Neighbouring lanes are the two sides of one sample: nearly the same ray.
             i = lane // 2
-            side = mi.Float(mi.Int32(lane - 2 * i) * 2 - 1) * step
             take = lambda a: dr.gather(type(a), a, i)  # noqa: E731
+            side = mi.Float(mi.Int32(lane - 2 * i) * 2 - 1) * take(e.step)
             view = take(e.view)
             x, y = dr.fma(side, take(e.nx), take(e.x)), dr.fma(side, take(e.ny), take(e.y))
             return view, cameras.ray(view, x, y)

@@ -10,7 +10,6 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import UserError
-from .edges import EDGE_STEP
 from .scene_edges import SceneEdges, sensor_cameras
 
 log = logging.getLogger("mi_simplify")
@@ -147,9 +146,8 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             opaque_seed = dr.opaque(mi.UInt32, seed) + 0x9E3779B9
             e = self._edges.edges.sample(positions, cameras, n, opaque_seed)
             flat = dr.detach(cameras)
-            step = EDGE_STEP * max(cameras.width, cameras.height)
             sides = []
-            for s in (-step, step):
+            for s in (-e.step, e.step):
                 sampler = mi.load_dict({"type": "independent"})
                 sampler.seed(opaque_seed, n)  # the same light samples on both sides
                 origin, direction = flat.ray(e.view, e.x + s * e.nx, e.y + s * e.ny)

@@ -154,6 +154,9 @@ class EdgeSet:
         segment = self._segment(positions, cameras, view, pair - view * self.n_edges)
         class_weight = self._weight(planes, cameras, view, segment)
         tau = mi.Float(r1) * 2.0**-32
+        depth = dr.rcp(dr.lerp(dr.rcp(segment.z0), dr.rcp(segment.z1), tau))
+        o = cameras.fetch(view, 0)
+        magnitude = dr.maximum(dr.max(dr.abs(o.xyz)), depth) / dr.maximum(depth * o.w, 1e-12)
         # A point at fraction tau of the clipped segment *on the film*, then its parameter on the edge itself.
         a = tau * segment.z0 / dr.maximum(segment.z1 + tau * (segment.z0 - segment.z1), 1e-12)
         valid = (sum_ > 0) & segment.visible & (class_weight > 0)
@@ -167,6 +170,7 @@ class EdgeSet:
             nx=(segment.y1 - segment.y0) / dr.maximum(segment.length, 1e-12),
             ny=(segment.x0 - segment.x1) / dr.maximum(segment.length, 1e-12),
             weight=dr.select(valid, sum_ / (n_samples * dr.maximum(class_weight, 1e-6)), 0),
+            step=max(cameras.width, cameras.height) * dr.maximum(_STEP_FILM, _STEP_WORLD * magnitude),
         )
 
     def _weight(self, planes: mi.Float, cameras: Cameras, view, segment) -> mi.Float:
@@ -216,8 +220,10 @@ class EdgeSet:
         return _Segment(edge, row.x, row.y, row.z, row.w, s0, s1, x0, y0, z0, x1, y1, z1, length, visible & (length > 1e-6))
 
 
-#: Step to either side of an edge, as a fraction of the film: float32 directions carry about 1e-7 of it.
-EDGE_STEP = 4e-6
+#: Steps to either side of an edge that rays in float32 still resolve: as a fraction of the film, and of the larger of
+#: depth and camera coordinates. Half of either loses some jumps in rounding; ten times either steps over the next edge
+#: of a fine mesh, whose outline zigzags by little more.
+_STEP_FILM, _STEP_WORLD = 5e-7, 3e-7
 
 #: Nearest depth at which edges are followed [scene units].
 _NEAR = 1e-3
@@ -248,7 +254,8 @@ class EdgeSamples:
     Points on edges as the films see them; detached.
 
     ``end0 end1`` are positions, ``s`` the fraction between them, (x, y) the film position [pixels], (nx, ny) the unit
-    normal of the edge on the film, ``weight`` the edge length [pixels] that the sample stands for.
+    normal of the edge on the film, ``weight`` the edge length [pixels] that the sample stands for, ``step`` how far off
+    the edge [pixels] either side is looked at.
     """
 
     view: mi.UInt32
@@ -260,3 +267,4 @@ class EdgeSamples:
     nx: mi.Float
     ny: mi.Float
     weight: mi.Float
+    step: mi.Float
