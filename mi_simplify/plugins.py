@@ -21,14 +21,24 @@ VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 def _register(_old: str | None, new: str | None) -> None:
     """
     Import the plugin modules, again where they were bound to another variant's classes.
+
+    In variants that cannot run them their names stay taken, by an error that says which ones can.
     """
+    if new is None:
+        return
     if new not in VARIANTS:
+        mi.register_bsdf("ggx_gamma", _refuse)
+        mi.register_integrator("direct_edge", _refuse)
         return
     for name in MODULES:
         if name in sys.modules:
             importlib.reload(sys.modules[name])
         else:
             importlib.import_module(name)
+
+
+def _refuse(_props: mi.Properties) -> None:
+    require_ad_variant()
 
 
 def install() -> None:
