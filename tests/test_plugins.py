@@ -74,7 +74,7 @@ for variant in ('llvm_ad_rgb', 'scalar_rgb', 'llvm_ad_rgb', 'llvm_ad_mono', 'sca
     ],
 )
 def test_plugins_are_there_in_any_order_of_imports(first):
-    # Where Mitsuba comes first nobody has chosen an LLVM yet: the one of this process is handed over in its environment.
+    # Where Mitsuba comes first nobody has chosen an LLVM yet: the environment hands over that of this process.
     python(first + RENDER + "render()")
 
 
