@@ -154,7 +154,8 @@ class EdgeSet:
         segment = self._segment(positions, cameras, view, pair - view * self.n_edges)
         class_weight = self._weight(planes, cameras, view, segment)
         tau = mi.Float(r1) * 2.0**-32
-        depth = dr.rcp(dr.lerp(dr.rcp(segment.z0), dr.rcp(segment.z1), tau))
+        iz0, iz1 = (dr.rcp(dr.maximum(z, _NEAR)) for z in (segment.z0, segment.z1))
+        depth = dr.rcp(dr.lerp(iz0, iz1, tau))
         o = cameras.fetch(view, 0)
         magnitude = dr.maximum(dr.max(dr.abs(o.xyz)), depth) / dr.maximum(depth * o.w, 1e-12)
         # A point at fraction tau of the clipped segment *on the film*, then its parameter on the edge itself.
