@@ -112,12 +112,14 @@ class GgxGamma(mi.BSDF):
         """
         # v runs down the image, so a chart that is not mirrored has dp_du x dp_dv against the face.
         mirrored = dr.dot(dr.cross(si.dp_du, si.dp_dv), si.n) > 0
-        face = si.to_local(si.dp_du)
         if self.mesh_tangents:
-            face = si.to_local(mi.Vector3f(si.shape.eval_attribute_3("vertex_tangent", si, active)))
-        tangent = mi.Vector3f(face.x, face.y, 0)
-        length = dr.norm(tangent)
-        tangent = dr.select(length > 1e-12, tangent / dr.maximum(length, 1e-12), mi.Vector3f(1, 0, 0))
+            tangent = mi.Vector3f(si.shape.eval_attribute_3("vertex_tangent", si, active))
+        else:
+            tangent = si.dp_du * dr.rsqrt(dr.maximum(dr.squared_norm(si.dp_du), 1e-24))
+        tangent = si.to_local(tangent)
+        tangent.z = 0
+        # Where shading bends the tangent into the normal it fades: normalised, it would flip inside the face.
+        tangent *= dr.rsqrt(dr.maximum(dr.squared_norm(tangent), microfacet.MIN_TANGENT**2))
         return tangent, dr.select(mirrored, mi.Float(-1), mi.Float(1))
 
     def _inputs(self, si, active):

@@ -21,6 +21,9 @@ MIN_ROUGHNESS = 0.03
 #: Smallest cosine between the shading normal and the viewer, see :func:`face_viewer`.
 MIN_COSINE = 0.05
 
+#: A unit tangent whose projection on the shading plane is shorter than this is no longer normalised.
+MIN_TANGENT = 0.1
+
 #: How the lobes are mixed: as in the paper (Sect. 5.2), or as in glTF 2.0 (Appendix B).
 FORMS = ("gltf", "paper")
 

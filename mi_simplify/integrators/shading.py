@@ -25,7 +25,8 @@ def mapped_normal(hit: Fragment, normal: mi.Vector3f, wi: mi.Vector3f) -> mi.Vec
     """
     n = hit.normal
     t = hit.tangent - n * dr.dot(n, hit.tangent)
-    t *= dr.rsqrt(dr.maximum(dr.squared_norm(t), 1e-12))
+    # Where shading bends the tangent into the normal it fades: normalised, it would flip inside the face.
+    t *= dr.rsqrt(dr.maximum(dr.squared_norm(t), microfacet.MIN_TANGENT**2))
     b = dr.cross(n, t) * hit.handedness
     m = t * normal.x + b * normal.y + n * normal.z
     m *= dr.rsqrt(dr.maximum(dr.squared_norm(m), 1e-12))
