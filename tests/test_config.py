@@ -118,7 +118,8 @@ def test_relative_paths_follow_the_file_that_holds_them(tmp_path, monkeypatch):
     folder.mkdir()
     path = write(
         folder,
-        "asset: ../model.obj\nreference: {transport: baked, environment: sky.exr}\ninitial: {kind: mesh, mesh: /abs/low.ply}\n",
+        "asset: ../model.obj\nreference: {transport: baked, environment: sky.exr}\n"
+        "initial: {kind: mesh, mesh: /abs/low.ply}\n",
     )
     monkeypatch.chdir(tmp_path)
     config = load_config(path)
