@@ -50,7 +50,7 @@ format: install
 	$(BIN)/ruff check --fix .
 
 docs: $(VENV)/.docs
-	$(BIN)/mi-simplify config-schema > docs/config.md
+	$(BIN)/mi-simplify config-schema > $(VENV)/config.md && mv $(VENV)/config.md docs/config.md
 	$(BIN)/mkdocs build --quiet --strict
 
 clean:

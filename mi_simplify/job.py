@@ -26,7 +26,8 @@ from .report.html import write_report
 from .runtime import ensure_variant
 from .scenes.asset import Asset
 from .scenes.load import load_asset
-from .scenes.reference import MitsubaReference, Reference, make_reference
+from .scenes.read_mitsuba import SceneAsset
+from .scenes.reference import Reference, make_reference
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,8 @@ def guess_for(asset: Asset, config: Config, frame: Frame) -> tuple[Model, list[s
     notes : list of str
     """
     initial = config.initial
+    if initial.kind == "decimate" and isinstance(asset, SceneAsset):
+        asset.require_triangles()
     if initial.kind == "decimate" and initial.triangles > asset.n_triangles:
         raise MeshError(
             f"a budget of {initial.triangles} triangles is above the input's own {asset.n_triangles}; ask for fewer"
@@ -138,19 +141,17 @@ def guess_for(asset: Asset, config: Config, frame: Frame) -> tuple[Model, list[s
     )
 
 
-def reference_for(asset: Asset, config: Config) -> MitsubaReference:
+def reference_for(asset: Asset, config: Config) -> Reference:
     """
     The renderer of the target images that the configuration asks for.
     """
     settings = config.reference
-    reference = make_reference(
-        asset, transport=settings.transport, spp=settings.spp, max_depth=settings.max_depth, form=config.latent.shading
-    )
-    if settings.environment is not None:
-        if not Path(settings.environment).is_file():
-            raise AssetError(f"the environment map '{settings.environment}' does not exist")
-        reference.shapes["environment"] = {"type": "envmap", "filename": settings.environment}
-    return reference
+    if settings.environment is not None and not Path(settings.environment).is_file():
+        raise AssetError(f"the environment map '{settings.environment}' does not exist")
+    return make_reference(
+        asset, transport=settings.transport, spp=settings.spp, max_depth=settings.max_depth,
+        environment=settings.environment, lights=settings.scene_lights, form=config.latent.shading,
+    )  # fmt: skip
 
 
 def run_job(
@@ -195,22 +196,24 @@ def run_job(
         clock.lap("fit")
         guess, model = frame.restored(guess), frame.restored(fitted.model)
         progress(Progress("export"))
-        with folder.staged() as stage:
+        with folder.staged() as stage:  # the model is kept, whatever happens while it is judged
             files = export_model(model, stage, formats=config.export.formats, extras=_facts(config))
-            clock.lap("export")
-            candidates = {"first guess": guess.as_asset(), "result": load_asset(next(iter(files.values())))}
-            judged = config.evaluation
-            comparison = compare_assets(
-                asset, candidates, n_views=judged.views, resolution=judged.resolution, spp=judged.spp,
-                seed=config.seed, progress=progress,
-            )  # fmt: skip
-            clock.lap("evaluate")
-            run = {**_facts(config), "variant": variant, "notes": notes, "seconds": clock.seconds}
-            comparison = replace(comparison, figures={**comparison.figures, "run": run})
+        clock.lap("export")
+        written = folder.path / next(iter(files.values())).name
+        judged = config.evaluation
+        comparison = compare_assets(
+            asset, {"first guess": guess.as_asset(), "result": load_asset(written)}, n_views=judged.views,
+            resolution=judged.resolution, spp=judged.spp, seed=config.seed, progress=progress,
+        )  # fmt: skip
+        clock.lap("evaluate")
+        run = {**_facts(config), "variant": variant, "notes": notes, "seconds": clock.seconds}
+        comparison = replace(comparison, figures={**comparison.figures, "run": run})
+        models = sorted(path for path in folder.path.iterdir() if path.name.startswith("model"))
+        with folder.staged() as stage:
             save_comparison(comparison, stage)
             write_report(
                 stage / "report.html", comparison, title=asset.name, model=model,
-                settings=config.model_dump(mode="json"), log=fitted.log, files=sorted(stage.iterdir()), notes=notes,
+                settings=config.model_dump(mode="json"), log=fitted.log, files=models, notes=notes,
             )  # fmt: skip
     return Result(folder.path, guess, model, comparison.figures)
 
