@@ -14,7 +14,6 @@ from .. import __version__
 from ..errors import MeshError
 from ..latent.model import Model
 from ..latent.tangents import split_mirrored, vertex_tangents
-from ..latent.topology import vertex_normals
 from .files import write_atomic
 from .textures import Textures, encode_textures, png
 
@@ -131,11 +130,11 @@ def _geometry(builder: _Builder, model: Model) -> tuple[dict, int]:
     mesh = split_mirrored(model.mesh)
     if not len(mesh.faces):
         raise MeshError("nothing to export: the mesh has no faces")
-    normals = vertex_normals(mesh.positions, mesh.position_faces)
+    normals = mesh.normals()
     tangents, w = vertex_tangents(mesh, normals)
     vertices = {
         "POSITION": mesh.vertices,
-        "NORMAL": normals[mesh.position_index],
+        "NORMAL": normals[mesh.normal_groups],
         "TANGENT": np.concatenate([tangents, w[:, None]], axis=1),
         "TEXCOORD_0": mesh.uvs,
     }

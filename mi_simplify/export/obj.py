@@ -11,7 +11,6 @@ import numpy as np
 from .. import __version__
 from ..errors import MeshError
 from ..latent.model import Model
-from ..latent.topology import vertex_normals
 from .files import side_file_stem, write_atomic
 from .textures import Textures, encode_textures, png
 
@@ -81,10 +80,10 @@ def _library(stem: str, images: dict[str, np.ndarray]) -> str:
 def _mesh(model: Model, stem: str) -> str:
     """The mesh as text; nine digits carry a float32 exactly."""
     mesh = model.mesh
-    normals = vertex_normals(mesh.positions, mesh.position_faces)
+    normals = mesh.normals()
     uvs = np.asarray(mesh.uvs, np.float64) * [1.0, -1.0] + [0.0, 1.0]
-    p, t = mesh.position_faces + 1, mesh.faces + 1
-    corners = np.stack([p, t, p], axis=2)  # (F, 3, 3): v/vt/vn
+    p, t, n = mesh.position_faces + 1, mesh.faces + 1, mesh.normal_groups[mesh.faces] + 1
+    corners = np.stack([p, t, n], axis=2)  # (F, 3, 3): v/vt/vn
     return "".join(
         [
             f"# mi_simplify {__version__}\nmtllib {stem}.mtl\no {stem}\n",

@@ -12,7 +12,6 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
 from .. import __version__
 from ..errors import MeshError
 from ..latent.model import Model
-from ..latent.topology import vertex_normals
 from .files import side_file_stem, write_atomic
 from .textures import encode_textures, png
 
@@ -74,16 +73,16 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
 
 
 def _mesh(stage: Usd.Stage, path: Sdf.Path, model: Model) -> UsdGeom.Mesh:
-    """Points and normals over welded positions, texture coordinates over vertices."""
+    """Points over welded positions, normals over corners, texture coordinates over vertices."""
     source = model.mesh
     mesh = UsdGeom.Mesh.Define(stage, path)
     points = source.positions.astype(np.float32)
-    normals = vertex_normals(source.positions, source.position_faces).astype(np.float32)
+    normals = source.normals().astype(np.float32)[source.normal_groups][source.faces].reshape(-1, 3)
     mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(source.faces), 3, np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(source.position_faces.ravel().astype(np.int32)))
     mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
-    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
     mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)

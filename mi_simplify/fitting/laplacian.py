@@ -8,6 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..upload import upload
+
 
 class Laplacian:
     """
@@ -30,10 +32,10 @@ class Laplacian:
         both = np.concatenate([ends, ends[:, ::-1]])
         degree = np.bincount(both[:, 0], minlength=n)
         self._n = n
-        self._row, self._column = (mi.UInt32(both[:, k].astype(np.uint32)) for k in (0, 1))
-        self._weight = mi.Float((1 / degree[both[:, 0]]).astype(np.float32))
-        self._has_ring = mi.Float((degree > 0).astype(np.float32))
-        positions = mi.Float(np.asarray(first_guess, np.float32).ravel())
+        self._row, self._column = (upload(mi.UInt32, both[:, k]) for k in (0, 1))
+        self._weight = upload(mi.Float, 1 / degree[both[:, 0]])
+        self._has_ring = upload(mi.Float, (degree > 0).astype(np.float32))
+        positions = upload(mi.Float, np.ravel(first_guess))
         target = self.differentials(positions)
         self.absolute_start = float(dr.sum(dr.squared_norm(target))[0] / n)
         """L_δ of the first guess with δ' = 0, which the default weight is balanced against."""

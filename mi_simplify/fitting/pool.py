@@ -11,6 +11,7 @@ import numpy as np
 
 from ..scenes.reference import Reference
 from ..scenes.views import Views
+from ..upload import upload
 
 _HALF_MAX = float(np.finfo(np.float16).max)
 
@@ -84,5 +85,6 @@ class ViewPool:
         arrays = {key: np.stack([self._views[i][key] for i in pick]) for key in self._views[0]}
         views = Views.from_arrays(arrays, self.resolution, self.resolution)
         images = np.stack([self._images[i] for i in pick]).astype(np.float32)
-        planes = np.ascontiguousarray(images.reshape(-1, images.shape[-1]).T)
-        return views, mi.Vector4f(planes[:4]), mi.Vector4f(planes[4:]) if self.residual is not None else mi.Vector4f(0)
+        rows = images.reshape(-1, images.shape[-1])
+        residual = mi.Vector4f(0) if self.residual is None else upload(mi.Vector4f, rows[:, 4:])
+        return views, upload(mi.Vector4f, rows[:, :4]), residual

@@ -8,6 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..upload import upload
+
 
 class VertexSteps:
     """
@@ -27,10 +29,10 @@ class VertexSteps:
     """
 
     def __init__(self, positions: np.ndarray, faces: np.ndarray, rate: float, lambda_: float):
-        flat = mi.Float(np.asarray(positions, np.float32).ravel())
+        flat = upload(mi.Float, np.ravel(positions))
         # LargeSteps welds by equal coordinates; our positions are distinct by construction, but need not be.
         keys = np.arange(len(positions) * 3, dtype=np.float32)
-        self._diffusion = mi.ad.LargeSteps(mi.Float(keys), mi.UInt32(faces.astype(np.uint32).ravel()), lambda_) if lambda_ > 0 else None
+        self._diffusion = mi.ad.LargeSteps(upload(mi.Float, keys), upload(mi.UInt32, faces.ravel()), lambda_) if lambda_ > 0 else None
         start = self._diffusion.to_differential(flat) if self._diffusion else flat
         self._rate = rate
         self._adam = mi.ad.Adam(lr=rate, uniform=True, beta_1=0.9, beta_2=0.999, params={"u": start})

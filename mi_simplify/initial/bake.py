@@ -14,6 +14,7 @@ from ..errors import MeshError
 from ..latent.model import Mesh
 from ..runtime import ensure_variant
 from ..scenes.asset import Asset
+from ..upload import upload
 from .atlas import dilate
 from .cleanup import clean, merge
 from .closest import ClosestPoints, sample_surface
@@ -87,10 +88,12 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
         lost = dr.compress(points.active & (hits.face == NO_FACE))
         if len(lost):
             n_missed += len(lost)
-            p, n = (dr.gather(type(x), x, lost).numpy().T for x in (points.p, points.n))
+            p, n = (dr.gather(type(x), x, lost).numpy().T for x in (points.p, points.ray))
             found = closest.query(p, n)
-            dr.scatter(hits.face, mi.UInt32(found.face.astype(np.uint32)), lost)
-            dr.scatter(hits.b, mi.Point2f(found.barycentric[:, 1:].T.astype(np.float32)), lost)
+            dr.scatter(hits.face, upload(mi.UInt32, found.face), lost)
+            dr.scatter(hits.b, upload(mi.Point2f, found.barycentric[:, 1:]), lost)
+        hits.face = dr.select(hits.face == NO_FACE, 0, hits.face)
+        dr.eval(hits)
         values = [*detail.shade(points, hits), dr.select(points.active, mi.Float(1), 0)]
         total = [a + b for a, b in zip(total, values, strict=True)]
         dr.eval(total)

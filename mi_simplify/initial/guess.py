@@ -38,6 +38,7 @@ def first_guess(
     samples: int = 2,
     padding: int = 4,
     time_limit: float = 60.0,
+    crease_angle: float = 180.0,
 ) -> tuple[Model, list[str]]:
     """
     A model to start from.
@@ -64,6 +65,8 @@ def first_guess(
         Empty texels between charts.
     time_limit : float
         Seconds that the unwrapping may take.
+    crease_angle : float
+        Edges of the reduced mesh that turn by more get two normals [degrees]; 180 has none.
 
     Returns
     -------
@@ -92,7 +95,9 @@ def first_guess(
             half = np.maximum((high - low) / 2, 0.05 * (high - low).max())
             positions, faces = sphere(triangles)
             positions = positions * half + (low + high) / 2
-        mesh, more = unwrap(positions, faces, atlas_size=atlas_size, padding=padding, time_limit=time_limit)
+        mesh, more = unwrap(
+            positions, faces, atlas_size=atlas_size, padding=padding, time_limit=time_limit, crease_angle=crease_angle
+        )
     notes += more
     model = replace(_plain(mesh, atlas_size, textures, seed), name=asset.name)
     if textures == "bake":

@@ -14,6 +14,7 @@ from ..latent.model import Mesh
 from ..latent.tangents import split_mirrored, vertex_tangents
 from ..latent.topology import vertex_normals, weld
 from ..scenes.shapes import make_mesh
+from ..upload import upload
 from .cleanup import Soup
 
 NO_FACE = 0xFFFFFFFF
@@ -35,7 +36,9 @@ class Points:
         Orthonormal smooth normal and tangent; the bitangent is ``w * cross(n, t)``.
     w : mi.Float
     reach : mi.Float
-        How far the reference is looked for, both ways along ``n`` [world units].
+        How far the reference is looked for, both ways along ``ray`` [world units].
+    ray : mi.Vector3f
+        Unit normal without creases: neighbouring charts must not look past each other.
     """
 
     active: mi.Bool
@@ -44,6 +47,7 @@ class Points:
     t: mi.Vector3f
     w: mi.Float
     reach: mi.Float
+    ray: mi.Vector3f
 
 
 @dataclass
@@ -57,10 +61,7 @@ class Hits:
 
 
 def _flat(rows: np.ndarray) -> mi.Float:
-    flat = np.ascontiguousarray(rows, np.float32).ravel()
-    out = mi.Float(flat)
-    dr.sync_thread()  # the copy may still be queued, and must not outlive its source
-    return out
+    return upload(mi.Float, np.ravel(rows))
 
 
 def _scene(vertices: np.ndarray, faces: np.ndarray) -> mi.Scene:
@@ -81,11 +82,13 @@ class LowPoly:
 
     def __init__(self, mesh: Mesh, reach: np.ndarray):
         mesh = split_mirrored(mesh)
-        normals = vertex_normals(mesh.positions, mesh.position_faces)
+        normals = mesh.normals()
         tangents, w = vertex_tangents(mesh, normals)
+        smooth = vertex_normals(mesh.positions, mesh.position_faces)
         index = mesh.position_index
-        self.packets = _flat(np.column_stack([mesh.vertices, w, normals[index], reach[index], tangents, w]))
-        self.faces = mi.UInt32(mesh.faces.astype(np.uint32).ravel())
+        columns = [mesh.vertices, w, normals[mesh.normal_groups], reach[index], tangents, w, smooth[index], w]
+        self.packets = _flat(np.column_stack(columns))
+        self.faces = upload(mi.UInt32, mesh.faces.ravel())
         self.scene = _scene(np.column_stack([mesh.uvs, np.zeros(len(mesh.uvs))]), mesh.faces)
 
     def points(self, size: int, offset: tuple[float, float]) -> Points:
@@ -98,10 +101,10 @@ class LowPoly:
         pi = self.scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(u, v, -1), mi.Vector3f(0, 0, 1)), True)
         active = pi.is_valid()
         corners = dr.gather(mi.Vector3u, self.faces, pi.prim_index, active)
-        pw, nr, tw = _blend(self.packets, 3, corners, pi.prim_uv, active)
+        pw, nr, tw, sw = _blend(self.packets, 4, corners, pi.prim_uv, active)
         n = dr.normalize(nr.xyz)
         t = dr.normalize(tw.xyz - n * dr.dot(n, tw.xyz))
-        return Points(active, mi.Point3f(pw.xyz), n, t, dr.select(tw.w < 0, mi.Float(-1), 1), nr.w)
+        return Points(active, mi.Point3f(pw.xyz), n, t, dr.select(tw.w < 0, mi.Float(-1), 1), nr.w, dr.normalize(sw.xyz))
 
 
 def _blend(packets: mi.Float, slots: int, corners: mi.Vector3u, b: mi.Point2f, active) -> list[mi.Vector4f]:
@@ -126,14 +129,14 @@ class Images:
     def __init__(self, images: list[np.ndarray]):
         padded = [np.pad(np.float32(a), ((0, 0), (0, 0), (0, 4 - a.shape[2]))).reshape(-1, 4) for a in images]
         self.texels = _flat(np.concatenate(padded))
-        self.first = mi.UInt32(np.cumsum([0] + [len(p) for p in padded[:-1]]).astype(np.uint32))
+        self.first = upload(mi.UInt32, np.cumsum([0] + [len(p) for p in padded[:-1]]))
         self.width = mi.Int32([a.shape[1] for a in images])
         self.height = mi.Int32([a.shape[0] for a in images])
 
-    def at(self, index: mi.UInt32, uv: mi.Point2f, active) -> mi.Vector4f:
+    def at(self, index: mi.UInt32, uv: mi.Point2f) -> mi.Vector4f:
         """Image ``index`` at ``uv``, v = 0 at the top."""
-        w, h = dr.gather(mi.Int32, self.width, index, active), dr.gather(mi.Int32, self.height, index, active)
-        first = dr.gather(mi.UInt32, self.first, index, active)
+        w, h = dr.gather(mi.Int32, self.width, index), dr.gather(mi.Int32, self.height, index)
+        first = dr.gather(mi.UInt32, self.first, index)
         x = (uv.x - dr.floor(uv.x)) * w - 0.5
         y = (uv.y - dr.floor(uv.y)) * h - 0.5
         x0, y0 = dr.floor(x), dr.floor(y)
@@ -143,7 +146,7 @@ class Images:
         for dy, wy in ((0, 1 - fy), (1, fy)):
             for dx, wx in ((0, 1 - fx), (1, fx)):
                 row, column = (iy + dy + h) % h, (ix + dx + w) % w
-                out += wx * wy * dr.gather(mi.Vector4f, self.texels, first + mi.UInt32(row * w + column), active)
+                out += wx * wy * dr.gather(mi.Vector4f, self.texels, first + mi.UInt32(row * w + column))
         return out
 
 
@@ -162,11 +165,11 @@ class Detail:
         tangents, w = vertex_tangents(whole, rows[:, 3:6])
         columns = [rows[:, :3], rows[:, 6], rows[:, 3:6], rows[:, 7], tangents, w, rows[:, 8:12]]
         self.packets = _flat(np.column_stack(columns))
-        self.faces = mi.UInt32(mesh.faces.astype(np.uint32).ravel())
+        self.faces = upload(mi.UInt32, mesh.faces.ravel())
         self.scene = _scene(rows[:, :3], mesh.faces)
         self.step = mi.Float(1e-6 * soup.diagonal)
 
-        self.material = mi.UInt32(soup.material_index.astype(np.uint32))
+        self.material = upload(mi.UInt32, soup.material_index)
         self.base_color = Images([m.base_color for m in soup.materials])
         self.specular = Images([m.specular for m in soup.materials])
         flat = np.float32([[[0, 0, 1]]])
@@ -184,36 +187,38 @@ class Detail:
         """
         What is seen at the hits, zero where a point is not active.
 
+        Every face must exist, even there: LLVM 23 has been seen to drop the mask of a gather whose result a select
+        with the same mask discards, so nothing is masked here.
+
         Returns
         -------
         list of mi.Float
             Fourteen numbers: RGB times opacity, RGB, opacity, (gamma, roughness, metallic), tangent-space normal, height.
         """
-        active = s.active
-        corners = dr.gather(mi.Vector3u, self.faces, hits.face, active)
-        pu, nv, tw, color = _blend(self.packets, 4, corners, hits.b, active)
+        corners = dr.gather(mi.Vector3u, self.faces, hits.face)
+        pu, nv, tw, color = _blend(self.packets, 4, corners, hits.b, True)
         uv = mi.Point2f(pu.w, nv.w)
-        m = dr.gather(mi.UInt32, self.material, hits.face, active)
-        base = self.base_color.at(m, uv, active) * color
+        m = dr.gather(mi.UInt32, self.material, hits.face)
+        base = self.base_color.at(m, uv) * color
         a = base.w
-        cutoff = dr.gather(mi.Float, self.cutoff, m, active)
+        cutoff = dr.gather(mi.Float, self.cutoff, m)
         a = dr.select(cutoff >= 0, dr.select(a >= cutoff, mi.Float(1), 0), a)
-        a = dr.select(dr.gather(mi.Bool, self.opaque, m, active), 1, a)
-        specular = self.specular.at(m, uv, active)
+        a = dr.select(dr.gather(mi.Bool, self.opaque, m), 1, a)
+        specular = self.specular.at(m, uv)
 
         n = dr.normalize(nv.xyz)
         t = tw.xyz - n * dr.dot(n, tw.xyz)
         t *= dr.rsqrt(dr.maximum(dr.squared_norm(t), 1e-20))
         b = dr.select(tw.w < 0, mi.Float(-1), 1) * dr.cross(n, t)
-        local = self.normal.at(m, uv, active)
+        local = self.normal.at(m, uv)
         n = dr.normalize(t * local.x + b * local.y + n * local.z)
-        n = dr.select(dr.dot(_face_normal(self.packets, corners, active), s.n) < 0, -n, n)  # seen from its back
+        n = dr.select(dr.dot(_face_normal(self.packets, corners, True), s.n) < 0, -n, n)  # seen from its back
         z = dr.maximum(dr.dot(s.n, n), _LOWEST)
         low = dr.normalize(mi.Vector3f(dr.dot(s.t, n), s.w * dr.dot(dr.cross(s.n, s.t), n), z))
         height = dr.dot(pu.xyz - s.p, s.n)
         rgb = base.xyz
         values = [*(rgb * a), *rgb, a, *specular.xyz, *low, height]
-        return [dr.select(active, x, 0) for x in values]
+        return [dr.select(s.active, x, 0) for x in values]
 
 
 def _face_normal(packets: mi.Float, corners: mi.Vector3u, active) -> mi.Vector3f:
@@ -228,7 +233,7 @@ def _march(scene: mi.Scene, faces: mi.UInt32, packets: mi.Float, step: mi.Float,
     best = mi.Float(dr.inf)
     t = mi.Float(0)  # way from the outer end
     active = mi.Bool(s.active)
-    n, reach = mi.Vector3f(s.n), mi.Float(s.reach)
+    n, reach = mi.Vector3f(s.ray), mi.Float(s.reach)
     start = mi.Point3f(s.p + n * reach)
     while active:
         ray = mi.Ray3f(start - n * t, -n)

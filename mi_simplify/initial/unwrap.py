@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..errors import MeshError
 from ..latent.model import Mesh
+from ..latent.topology import normal_groups, vertex_normals
 from .cleanup import edge_pairs
 
 _ATTEMPTS = (3, 10)
@@ -24,7 +25,13 @@ _THIN = 4.0
 
 
 def unwrap(
-    positions: np.ndarray, faces: np.ndarray, *, atlas_size: int = 1024, padding: int = 4, time_limit: float = 60.0
+    positions: np.ndarray,
+    faces: np.ndarray,
+    *,
+    atlas_size: int = 1024,
+    padding: int = 4,
+    time_limit: float = 60.0,
+    crease_angle: float = 180.0,
 ) -> tuple[Mesh, list[str]]:
     """
     Cut a mesh into charts and pack them into one square texture without overlap.
@@ -41,6 +48,8 @@ def unwrap(
         Empty texels between charts.
     time_limit : float
         Seconds that xatlas may take before every triangle becomes a chart of its own.
+    crease_angle : float
+        Edges that turn by more get two normals and become chart borders [degrees]; 180 has none.
 
     Returns
     -------
@@ -58,12 +67,18 @@ def unwrap(
         raise MeshError("nothing to unwrap: the mesh has no faces")
     notes: list[str] = []
     try:
-        index, uvs, out_faces = _run_xatlas(positions, faces, atlas_size, padding, time_limit)
+        corners = normal_groups(positions, faces, crease_angle)
+        group_position = np.empty(corners.max() + 1, np.int64)
+        group_position[corners] = faces
+        normals = vertex_normals(positions, faces, corners)
+        index, uvs, out_faces = _run_xatlas(positions[group_position], corners, normals, atlas_size, padding, time_limit)
     except _Failed as failure:
         notes.append(f"xatlas {failure}; every triangle is a chart of its own, which wastes texels and adds seams")
-        index, uvs, out_faces = triangle_charts(positions, faces, atlas_size, padding)
+        index, uvs, out_faces = triangle_charts(positions, corners, atlas_size, padding)
     uvs[:, 1] = atlas_size - uvs[:, 1]  # xatlas winds its charts for v up
-    mesh = Mesh(np.asarray(positions, np.float64), index, np.float32(uvs / atlas_size), out_faces)
+    mesh = Mesh(
+        np.asarray(positions, np.float64), group_position[index], np.float32(uvs / atlas_size), out_faces, index
+    )
     return mesh, notes + check(mesh, atlas_size)
 
 
@@ -71,13 +86,16 @@ class _Failed(Exception):
     """xatlas did not deliver; the message completes the sentence "xatlas …"."""
 
 
-def _run_xatlas(positions, faces, size: int, padding: int, time_limit: float):
+def _run_xatlas(positions, faces, normals, size: int, padding: int, time_limit: float):
     """Vertex origins (V,), UVs (V, 2) in texels, v up, and faces (F, 3), from a process that can be ended."""
     centre = positions.min(0)
     scale = 100 / max(float(np.ptp(positions, axis=0).max()), 1e-30)  # xatlas compares areas with absolute epsilons
     attempts = int(np.clip(12_000 // len(faces), *_ATTEMPTS))
     job = io.BytesIO()
-    np.savez(job, positions=(positions - centre) * scale, faces=faces, size=size, padding=padding, attempts=attempts)
+    np.savez(
+        job, positions=(positions - centre) * scale, faces=faces, normals=normals, size=size, padding=padding,
+        attempts=attempts,
+    )  # fmt: skip
     command = [sys.executable, str(Path(__file__).with_name("xatlas_worker.py"))]
     try:
         done = subprocess.run(command, input=job.getvalue(), capture_output=True, timeout=time_limit, check=False)

@@ -1,7 +1,7 @@
 """
 Runs xatlas in a process of its own, so that a hanging unwrap can be ended; a script, imported by nothing.
 
-stdin: an npz with ``positions`` (P, 3), ``faces`` (F, 3), ``size``, ``padding``, ``attempts``.
+stdin: an npz with ``positions`` (P, 3), ``faces`` (F, 3), ``normals`` (P, 3), ``size``, ``padding``, ``attempts``.
 stdout: an npz with ``index`` (V,), ``uvs`` (V, 2) in texels, ``faces`` (F, 3), ``charts``.
 """
 
@@ -12,14 +12,15 @@ import numpy as np
 import xatlas
 
 
-def pack(positions, faces, padding, size, density):
+def pack(positions, faces, normals, padding, size, density):
     """
     Charts and one page of them; returns the atlas. ``density`` [texels per unit], 0 for a guess from ``size``.
     """
     atlas = xatlas.Atlas()
-    atlas.add_mesh(positions, faces)
+    atlas.add_mesh(positions, faces, normals)
     charts = xatlas.ChartOptions()
     charts.max_iterations = 4
+    charts.normal_seam_weight = 1001  # above 1000 seams of the normals are borders
     charts.fix_winding = True  # no mirrored charts: turning them by a transposition is what mirrors
     packing = xatlas.PackOptions()
     packing.rotate_charts = False
@@ -37,10 +38,11 @@ def main():
     job = np.load(io.BytesIO(sys.stdin.buffer.read()))
     size, padding = int(job["size"]), int(job["padding"])
     positions, faces = job["positions"].astype(np.float32), job["faces"].astype(np.uint32)
+    normals = job["normals"].astype(np.float32)
     inner = size - padding  # half the padding along every border
     density, best = 0.0, None
     for _ in range(int(job["attempts"])):
-        atlas = pack(positions, faces, padding, inner, density)
+        atlas = pack(positions, faces, normals, padding, inner, density)
         if atlas.atlas_count == 0 or atlas.width == 0:
             break
         if atlas.atlas_count == 1:

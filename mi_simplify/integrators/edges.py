@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..upload import upload
 from .camera import Cameras
 
 #: Edges whose two faces shade continuously; they matter only as silhouettes.
@@ -101,12 +102,11 @@ class EdgeSet:
     """
 
     def __init__(self, table: EdgeTable, position_faces: np.ndarray, *, crease_weight: float = 0.25, opaque: bool = True):
-        uint = lambda x: mi.UInt32(np.ascontiguousarray(x).astype(np.uint32))  # noqa: E731
         self.n_edges = len(table.ends)
         rows = np.concatenate([table.ends, table.faces], axis=1)
-        self._rows = uint(rows.ravel())
-        self._kind = mi.UInt32(table.kind.astype(np.uint32))
-        self._faces = mi.Vector3u(np.asarray(position_faces).T.astype(np.uint32))
+        self._rows = upload(mi.UInt32, rows.ravel())
+        self._kind = upload(mi.UInt32, table.kind)
+        self._faces = upload(mi.Vector3u, position_faces)
         self._crease_weight = crease_weight
         self._hide_back = table.closed and opaque
 

@@ -12,6 +12,7 @@ from ..errors import UserError
 from ..latent.topology import weld
 from ..scenes.shapes import mesh_faces, mesh_normals, mesh_positions, mesh_uvs
 from ..scenes.views import Views
+from ..upload import upload
 from .camera import Cameras
 from .edges import EdgeSet, edge_table
 
@@ -83,7 +84,7 @@ class SceneEdges:
             all_faces = np.concatenate(faces)
             # Materials are unknown here, so nothing is taken for granted about what lies behind.
             self.edges = EdgeSet(edge_table(all_faces, keys), all_faces, opaque=False)
-        self._first = [mi.UInt32(g.astype(np.uint32)) for g in gather]
+        self._first = [upload(mi.UInt32, g) for g in gather]
 
     def is_of(self, scene: mi.Scene) -> bool:
         """Whether the topology is that of this scene."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..scenes.asset import Asset, Instance, Material, Part
+from .topology import vertex_normals
 
 
 @dataclass(frozen=True)
@@ -26,12 +27,28 @@ class Mesh:
         Texture coordinates in [0, 1], origin top left, without overlap.
     faces : ndarray, shape (F, 3), int64
         Counter-clockwise *vertex* indices; ``position_index[faces]`` is the welded topology.
+    normal_index : ndarray, shape (V,), int64, optional
+        Vertices with the same number share a normal; a crease runs where those of one position differ. Without it all of
+        one position share one.
     """
 
     positions: np.ndarray
     position_index: np.ndarray
     uvs: np.ndarray
     faces: np.ndarray
+    normal_index: np.ndarray | None = None
+
+    @property
+    def normal_groups(self) -> np.ndarray:
+        """Which normal each vertex has, shape (V,): a row of :meth:`normals`."""
+        return self.position_index if self.normal_index is None else self.normal_index
+
+    def normals(self) -> np.ndarray:
+        """
+        Angle-weighted unit normals, one a normal group, shape (G, 3), float64.
+        """
+        groups = None if self.normal_index is None else self.normal_index[self.faces]
+        return vertex_normals(self.positions, self.position_faces, groups)
 
     @property
     def vertices(self) -> np.ndarray:
@@ -92,13 +109,10 @@ class Model:
         """
         The model as an asset of one part, with the normals that the export writes.
         """
-        from .topology import vertex_normals
-
-        normals = vertex_normals(self.mesh.positions, self.mesh.position_faces)
         part = Part(
             vertices=self.mesh.vertices,
             faces=self.mesh.faces,
-            normals=normals[self.mesh.position_index].astype(np.float32),
+            normals=self.mesh.normals()[self.mesh.normal_groups].astype(np.float32),
             uvs=self.mesh.uvs,
             material=self.material,
             name=self.name,

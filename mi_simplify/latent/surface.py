@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..upload import upload
 from .model import Mesh
 from .tangents import face_tangents, split_mirrored
 
@@ -45,23 +46,27 @@ class MeshTopology:
         mesh = split_mirrored(mesh)
         self.mesh = mesh
         self.n_positions, self.n_vertices, self.n_faces = len(mesh.positions), len(mesh.uvs), len(mesh.faces)
-        self.position_index = mi.UInt32(mesh.position_index.astype(np.uint32))
-        self.face_positions = mi.Vector3u(mesh.position_faces.T.astype(np.uint32))
-        self.face_vertices = mi.Vector3u(mesh.faces.T.astype(np.uint32))
+        self.position_index = upload(mi.UInt32, mesh.position_index)
+        groups = mesh.normal_groups
+        self.n_normals = int(groups.max()) + 1
+        self.normal_index = upload(mi.UInt32, groups)
+        self.face_normals = upload(mi.Vector3u, groups[mesh.faces])
+        self.face_positions = upload(mi.Vector3u, mesh.position_faces)
+        self.face_vertices = upload(mi.Vector3u, mesh.faces)
         faces4 = np.concatenate([mesh.faces, np.zeros((self.n_faces, 1), np.int64)], axis=1)
-        self.faces = mi.UInt32(faces4.astype(np.uint32).ravel())
+        self.faces = upload(mi.UInt32, faces4.ravel())
 
         uv = mesh.uvs.astype(np.float64)[mesh.faces]
         d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
         _, sign = face_tangents(mesh)
         # t ∝ a·e1 + b·e2 is ∂p/∂u up to a positive factor, whatever the handedness.
-        self._tangent_a = mi.Float((-sign * d2[:, 1]).astype(np.float32))
-        self._tangent_b = mi.Float((sign * d1[:, 1]).astype(np.float32))
-        self._has_tangent = mi.Bool(sign != 0)
+        self._tangent_a = upload(mi.Float, -sign * d2[:, 1])
+        self._tangent_b = upload(mi.Float, sign * d1[:, 1])
+        self._has_tangent = upload(mi.Bool, sign != 0)
         w = np.ones(self.n_vertices)
         w[mesh.faces[sign < 0].ravel()] = -1
-        self._w = mi.Float(w.astype(np.float32))
-        self._uv = mi.Vector2f(mesh.uvs.T.astype(np.float32))
+        self._w = upload(mi.Float, w)
+        self._uv = upload(mi.Vector2f, mesh.uvs)
 
     def surface(self, positions: mi.Float) -> Surface:
         """
@@ -72,11 +77,11 @@ class MeshTopology:
         """
         face_p = [dr.gather(mi.Point3f, positions, i) for i in self.face_positions]
         normals = self._normals(face_p)
-        corner_n = [dr.gather(mi.Vector3f, normals, i) for i in self.face_positions]
+        corner_n = [dr.gather(mi.Vector3f, normals, i) for i in self.face_normals]
         tangents = self._tangents(face_p, corner_n)
 
         p = dr.gather(mi.Point3f, positions, self.position_index)
-        n = dr.gather(mi.Vector3f, normals, self.position_index)
+        n = dr.gather(mi.Vector3f, normals, self.normal_index)
         t = dr.gather(mi.Vector3f, tangents, dr.arange(mi.UInt32, self.n_vertices))
         t -= n * dr.dot(n, t)
         length2 = dr.squared_norm(t)
@@ -91,12 +96,12 @@ class MeshTopology:
     def _normals(self, face_p: list[mi.Point3f]) -> mi.Float:
         n = dr.cross(face_p[1] - face_p[0], face_p[2] - face_p[0])
         n *= dr.rsqrt(dr.maximum(dr.squared_norm(n), 1e-30))
-        total = dr.zeros(mi.Float, self.n_positions * 3)
+        total = dr.zeros(mi.Float, self.n_normals * 3)
         for c in range(3):
             a = _unit(face_p[(c + 1) % 3] - face_p[c])
             b = _unit(face_p[(c + 2) % 3] - face_p[c])
-            dr.scatter_add(total, n * _angle(a, b), self.face_positions[c])
-        total = dr.gather(mi.Vector3f, total, dr.arange(mi.UInt32, self.n_positions))
+            dr.scatter_add(total, n * _angle(a, b), self.face_normals[c])
+        total = dr.gather(mi.Vector3f, total, dr.arange(mi.UInt32, self.n_normals))
         length2 = dr.squared_norm(total)
         total = dr.select(length2 > 1e-24, total * dr.rsqrt(dr.maximum(length2, 1e-24)), mi.Vector3f(0, 1, 0))
         return dr.ravel(total)

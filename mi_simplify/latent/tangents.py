@@ -41,8 +41,8 @@ def vertex_tangents(mesh: Mesh, normals: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Parameters
     ----------
-    normals : ndarray, shape (P, 3)
-        Unit normals of the welded positions, as ``topology.vertex_normals`` gives them.
+    normals : ndarray, shape (G, 3)
+        Unit normals as ``mesh.normals()`` gives them.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def vertex_tangents(mesh: Mesh, normals: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     n_vertices, faces = len(mesh.uvs), mesh.faces
     flat, sign = face_tangents(mesh)
-    n = np.asarray(normals, np.float64)[mesh.position_index]
+    n = np.asarray(normals, np.float64)[mesh.normal_groups]
     corner_n = n[faces]  # (F, 3, 3)
 
     def in_plane(x: np.ndarray) -> np.ndarray:
@@ -97,6 +97,7 @@ def split_mirrored(mesh: Mesh) -> Mesh:
     return replace(
         mesh,
         position_index=np.concatenate([mesh.position_index, mesh.position_index[mixed]]),
+        normal_index=None if mesh.normal_index is None else np.concatenate([mesh.normal_index, mesh.normal_index[mixed]]),
         uvs=np.concatenate([mesh.uvs, mesh.uvs[mixed]]),
         faces=faces,
     )

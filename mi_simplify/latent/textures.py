@@ -10,6 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..upload import upload
+
 #: Order of the channels in memory; the last four are there only where opacity or gamma is used.
 CHANNELS = ("red", "green", "blue", "roughness", "metallic", "nx", "ny", "nz", "opacity", "gamma", "free0", "free1")
 
@@ -144,10 +146,7 @@ class Textures:
             planes += [base_color[..., 3:4], specular[..., :1], np.zeros((self.height, self.width, 2))]
         packed = np.concatenate(planes, axis=2).astype(np.float32).ravel()
         # Whole blocks, so that one past the last texel can be read and written.
-        packed = mi.Float(np.append(packed, np.zeros(BLOCK * self.n_channels, np.float32)))
-        # An array made of NumPy memory borrows it, unaligned: wide scatters into it crash, so it is copied.
-        self.data = packed + dr.opaque(mi.Float, 0)
-        dr.eval(self.data)
+        self.data = upload(mi.Float, np.append(packed, np.zeros(BLOCK * self.n_channels)))
 
     @property
     def n_texels(self) -> int:

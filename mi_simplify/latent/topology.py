@@ -5,6 +5,8 @@ Mesh topology in vectorised NumPy, computed once per mesh: welding, normals, edg
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 
 def weld(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -41,28 +43,75 @@ def corner_angles(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.arctan2(cross, np.einsum("fci,fci->fc", a, b))
 
 
-def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def vertex_normals(positions: np.ndarray, faces: np.ndarray, groups: np.ndarray | None = None) -> np.ndarray:
     """
-    Angle-weighted unit normals over welded positions (Thürmer and Wüthrich 1998).
+    Angle-weighted unit normals (Thürmer and Wüthrich 1998).
 
     Parameters
     ----------
     positions : ndarray, shape (P, 3)
     faces : ndarray, shape (F, 3)
         Indices into ``positions``.
+    groups : ndarray, shape (F, 3), optional
+        Which corners share a normal; those of one position if not given.
 
     Returns
     -------
-    ndarray, shape (P, 3), float64
-        +Y for a position without a face of positive area.
+    ndarray, shape (P, 3) or (number of groups, 3), float64
+        +Y where no face has area.
     """
+    groups = faces if groups is None else groups
+    n_groups = len(positions) if groups is faces else int(groups.max(initial=-1)) + 1
     p = np.asarray(positions, np.float64)[faces]
     n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     length = np.linalg.norm(n, axis=1, keepdims=True)
     n = np.divide(n, length, out=np.zeros_like(n), where=length > 0)
     weighted = n[:, None, :] * corner_angles(np.asarray(positions, np.float64), faces)[..., None]
-    out = np.zeros((len(positions), 3))
+    out = np.zeros((n_groups, 3))
     for axis in range(3):
-        out[:, axis] = np.bincount(faces.ravel(), weighted[..., axis].ravel(), len(positions))
+        out[:, axis] = np.bincount(groups.ravel(), weighted[..., axis].ravel(), n_groups)
     length = np.linalg.norm(out, axis=1, keepdims=True)
     return np.where(length > 1e-12, out / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
+
+
+def normal_groups(positions: np.ndarray, faces: np.ndarray, crease_angle: float) -> np.ndarray:
+    """
+    Which corners share a normal: those around a position that no crease separates.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (P, 3)
+    faces : ndarray, shape (F, 3)
+        Over welded positions.
+    crease_angle : float
+        Edges whose faces turn by more than this are creases [degrees]; 180 has none.
+
+    Returns
+    -------
+    ndarray, shape (F, 3), int64
+        Group of every corner, numbered from 0; a group lies at one position.
+    """
+    n_faces = len(faces)
+    p = np.asarray(positions, np.float64)[faces]
+    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
+    corner = np.arange(3 * n_faces).reshape(-1, 3)
+    start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    a, b = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    key = np.minimum(a, b) * np.int64(len(positions)) + np.maximum(a, b)
+    order = np.argsort(key, kind="stable")
+    pair = np.flatnonzero(key[order][1:] == key[order][:-1])
+    first, second = order[pair], order[pair + 1]
+    smooth = np.einsum("ij,ij->i", n[first // 3], n[second // 3]) >= np.cos(np.radians(crease_angle)) - 1e-9
+    first, second = first[smooth], second[smooth]
+    # Neighbours run along their edge in opposite directions, unless one is wound the wrong way.
+    against = a[first] == b[second]
+    links = np.concatenate(
+        [
+            np.stack([start[first], np.where(against, end[second], start[second])], axis=1),
+            np.stack([end[first], np.where(against, start[second], end[second])], axis=1),
+        ]
+    )
+    graph = coo_array((np.ones(len(links), bool), (links[:, 0], links[:, 1])), shape=(3 * n_faces, 3 * n_faces))
+    _, label = connected_components(graph, directed=False)
+    return label.reshape(-1, 3).astype(np.int64)

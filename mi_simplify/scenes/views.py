@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import UserError
+from ..upload import upload
 
 
 @dataclass
@@ -67,16 +68,16 @@ class Views:
         """
         Inverse of :meth:`arrays`.
         """
-        vec = lambda name, kind: kind(np.ascontiguousarray(np.asarray(arrays[name], np.float32).T))  # noqa: E731
+        vec = lambda name, kind: upload(kind, arrays[name])  # noqa: E731
         return Views(
             origin=vec("origin", mi.Point3f),
             right=vec("right", mi.Vector3f),
             up=vec("up", mi.Vector3f),
             forward=vec("forward", mi.Vector3f),
-            tan_x=mi.Float(np.asarray(arrays["tan_x"], np.float32)),
+            tan_x=upload(mi.Float, arrays["tan_x"]),
             light_position=vec("light_position", mi.Point3f),
             light_intensity=vec("light_intensity", mi.Color3f),
-            frame=mi.Float(np.asarray(arrays["frame"], np.float32)),
+            frame=upload(mi.Float, arrays["frame"]),
             width=width,
             height=height,
         )
