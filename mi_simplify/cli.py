@@ -105,7 +105,7 @@ def cli() -> None:
 @_QUIET
 def simplify(asset, triangles, out, config, preset, settings, variant, overwrite, quiet) -> None:
     """
-    Simplify ASSET: a model file, or sample:relic for the embedded one.
+    Simplify ASSET: a model file, a Mitsuba scene, or sample:relic for the embedded one.
     """
     fixed = {"asset": asset} | ({} if triangles is None else {"initial": {"triangles": triangles}})
     name = asset.removeprefix("sample:")
@@ -203,7 +203,7 @@ def evaluate(reference, candidates, out, views, resolution, spp, seed, variant, 
 @_VARIANT
 def render(asset, out, resolution, spp, azimuth, elevation, variant) -> None:
     """
-    Render ASSET once: a model file, sample:relic, or the asset of a YAML config under its transport.
+    Render ASSET once: a model file, a Mitsuba scene, sample:relic, or the asset of a YAML config under its transport.
     """
     settings: dict[str, Any] = {}
     if Path(asset).suffix.lower() in (".yaml", ".yml"):

@@ -9,7 +9,7 @@ from tiny_models import QUAD, QUAD_FACES
 
 from mi_simplify.errors import AssetError, MeshError, UserError
 from mi_simplify.scenes.asset import Asset, Instance, Part
-from mi_simplify.scenes.load import is_mitsuba_scene, load_asset
+from mi_simplify.scenes.load import load_asset
 from mi_simplify.scenes.polygons import fan, split_corners
 from mi_simplify.scenes.validate import check_asset
 
@@ -25,13 +25,9 @@ def test_paths_that_are_no_model(tmp_path):
     (tmp_path / "a.obj").write_bytes(b"")
     with pytest.raises(AssetError, match="a.obj' is empty"):
         load_asset(tmp_path / "a.obj")
-    (tmp_path / "a.xml").write_text("<scene/>")
-    assert is_mitsuba_scene(tmp_path / "a.xml") and not is_mitsuba_scene("a.obj")
-    with pytest.raises(AssetError, match="is a Mitsuba scene"):
-        load_asset(str(tmp_path / "a.xml"))
 
 
-@pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "glb", "gltf", "usd", "usda", "usdc", "usdz"])
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "glb", "gltf", "usd", "usda", "usdc", "usdz", "xml"])
 def test_noise_of_any_suffix_is_one_clear_line(tmp_path, suffix):
     path = tmp_path / f"noise.{suffix}"
     rng = np.random.default_rng(5)

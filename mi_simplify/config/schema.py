@@ -72,11 +72,15 @@ class Reference(Section):
     environment: FilePath | None = Field(
         None, description="Environment map (EXR or HDR) besides the point light; only with `transport: baked`."
     )
+    scene_lights: bool = Field(
+        False, description="Keep the lights of a Mitsuba scene besides the point light; only with `transport: baked`."
+    )
 
     @model_validator(mode="after")
-    def _environment_is_baked(self) -> Reference:
-        if self.environment is not None and self.transport != "baked":
-            raise ValueError("`environment` lights the reference alone, so it needs `transport: baked`")
+    def _lights_are_baked(self) -> Reference:
+        for name, given in (("environment", self.environment is not None), ("scene_lights", self.scene_lights)):
+            if given and self.transport != "baked":
+                raise ValueError(f"`{name}` lights the reference alone, so it needs `transport: baked`")
         return self
 
 

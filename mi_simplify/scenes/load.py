@@ -11,23 +11,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..errors import AssetError, UserError
+from ..runtime import ensure_variant
 from .asset import Asset
 from .validate import check_asset
 
 _READERS = {
     ".obj": "read_obj", ".ply": "read_ply", ".stl": "read_stl", ".glb": "read_gltf", ".gltf": "read_gltf",
-    ".usd": "read_usd", ".usda": "read_usd", ".usdc": "read_usd", ".usdz": "read_usd",
+    ".usd": "read_usd", ".usda": "read_usd", ".usdc": "read_usd", ".usdz": "read_usd", ".xml": "read_mitsuba",
 }  # fmt: skip
 
 #: Suffixes that :func:`load_asset` reads.
 SUFFIXES = tuple(_READERS)
-
-
-def is_mitsuba_scene(path: str | Path) -> bool:
-    """
-    Whether a path names a Mitsuba XML scene, which can be a reference but is no asset.
-    """
-    return Path(path).suffix.lower() == ".xml"
 
 
 def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
@@ -37,14 +31,15 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
     Parameters
     ----------
     path : str or Path
-        OBJ (with MTL), PLY, STL, GLB, glTF, USD, USDA, USDC or USDZ.
+        OBJ (with MTL), PLY, STL, GLB, glTF, USD, USDA, USDC, USDZ, or a Mitsuba scene (XML).
     purpose : str
         What the messages call the file: 'asset', 'reference', 'low-poly mesh', …
 
     Returns
     -------
     Asset
-        In the conventions of :mod:`.asset`; ``notes`` tells what was left out or mended.
+        In the conventions of :mod:`.asset`; ``notes`` tells what was left out or mended. A
+        :class:`.read_mitsuba.SceneAsset` for a Mitsuba scene.
 
     Raises
     ------
@@ -58,8 +53,6 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
         raise AssetError(f"the {purpose} '{path}' does not exist")
     if not path.is_file():
         raise AssetError(f"the {purpose} '{path}' is no file; name the model file in it")
-    if is_mitsuba_scene(path):
-        raise AssetError(f"the {purpose} '{path}' is a Mitsuba scene: a reference to render, not a mesh to start from")
     suffix = path.suffix.lower()
     if suffix not in _READERS:
         known = ", ".join(s[1:].upper() for s in _READERS)
@@ -95,6 +88,9 @@ def _reader(suffix: str) -> Callable[[Path], Asset]:
         from .read_stl import read_stl as reader
     elif name == "read_gltf":
         from .read_gltf import read_gltf as reader
+    elif name == "read_mitsuba":
+        ensure_variant()  # before Mitsuba's classes can be named
+        from .read_mitsuba import read_mitsuba as reader
     else:
         try:
             from .read_usd import read_usd as reader

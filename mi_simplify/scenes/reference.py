@@ -13,6 +13,8 @@ import numpy as np
 
 from ..errors import AssetError, UserError
 from .asset import Asset
+from .mitsuba_file import Node, SceneFile
+from .read_mitsuba import SceneAsset, is_emitting
 from .shapes import asset_shapes
 from .views import Views
 
@@ -48,7 +50,8 @@ def view_sensor(arrays: dict[str, np.ndarray], k: int, width: int, height: int) 
         "type": "perspective",
         "fov_axis": "x",
         "fov": float(np.degrees(2 * np.arctan(arrays["tan_x"][k]))),
-        "near_clip": 1e-3,
+        "near_clip": 1e-6,
+        "far_clip": 1e12,  # scenes in millimetres end beyond the 1e4 of the plugin; the ray's origin does not suffer
         "to_world": mi.ScalarTransform4f().look_at(origin.tolist(), (origin + forward).tolist(), up.tolist()),
         "sampler": {"type": "independent"},
         "film": {
@@ -107,6 +110,32 @@ class MitsubaReference:
         return out
 
 
+class FramedReference:
+    """
+    A reference that cannot be moved, seen from another frame: its cameras and lights are moved instead.
+
+    Parameters
+    ----------
+    reference : Reference
+    scale : float
+        Length of one of the reference's units in the frame of the views.
+    center : ndarray, shape (3,)
+        Point of the reference at the origin of that frame.
+    """
+
+    def __init__(self, reference: Reference, scale: float, center: np.ndarray):
+        self.reference, self.scale, self.center = reference, scale, np.asarray(center, np.float64)
+
+    def render(self, views: Views, seed: int = 0) -> np.ndarray:
+        """
+        See :class:`Reference`; intensities follow the squared distance, so that radiance stays as it is.
+        """
+        arrays = views.arrays()
+        moved = {name: arrays[name] / self.scale + self.center for name in ("origin", "light_position")}
+        moved["light_intensity"] = arrays["light_intensity"] / self.scale**2
+        return self.reference.render(Views.from_arrays(arrays | moved, views.width, views.height), seed)
+
+
 class CallableReference:
     """
     A Python function ``f(views) -> (B, H, W, 4)`` as a reference.
@@ -138,10 +167,18 @@ def _integrator(transport: str, max_depth: int, transparent: bool) -> dict:
 
 
 def make_reference(
-    asset: Asset, *, transport: str = "direct", spp: int = 32, max_depth: int = 6, sky: float = 0.0, form: str = "gltf"
-) -> MitsubaReference:
+    asset: Asset,
+    *,
+    transport: str = "direct",
+    spp: int = 32,
+    max_depth: int = 6,
+    sky: float = 0.0,
+    environment: str | None = None,
+    lights: bool = False,
+    form: str = "gltf",
+) -> Reference:
     """
-    The reference renderer of an asset.
+    The reference renderer of an asset; that of a Mitsuba scene renders the scene itself.
 
     Parameters
     ----------
@@ -154,28 +191,69 @@ def make_reference(
         Longest path, where paths are traced.
     sky : float
         Radiance of a constant environment, 0 for none.
+    environment : str, optional
+        Image file of an environment.
+    lights : bool
+        Whether a Mitsuba scene keeps its own lights, see :func:`scene_reference`.
     form : {'gltf', 'paper'}
         Mixing of the lobes in ``ggx_gamma``.
     """
-    transparent = any(p.material.alpha_mode != "OPAQUE" for p in asset.parts)
-    shapes = dict(asset_shapes(asset, form=form))
+    if isinstance(asset, SceneAsset):
+        reference = scene_reference(asset.file, transport=transport, spp=spp, max_depth=max_depth, lights=lights)
+    else:
+        transparent = any(p.material.alpha_mode != "OPAQUE" for p in asset.parts)
+        shapes = dict(asset_shapes(asset, form=form))
+        reference = MitsubaReference(shapes, _integrator(transport, max_depth, transparent), spp)
+    own = [name for name, o in reference.shapes.items() if isinstance(o, mi.Emitter) and o.is_environment()]
+    if own and (sky > 0 or environment is not None):
+        raise UserError(f"{asset.source}: a scene with an environment of its own takes no other; leave one out")
     if sky > 0:
-        shapes["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [sky] * 3}}
-    return MitsubaReference(shapes, _integrator(transport, max_depth, transparent), spp)
+        reference.shapes["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [sky] * 3}}
+    if environment is not None:
+        reference.shapes["environment"] = {"type": "envmap", "filename": environment}
+    return FramedReference(reference, asset.scale, asset.center) if isinstance(asset, SceneAsset) else reference
 
 
-def scene_reference(path: str, *, transport: str = "baked", spp: int = 32, max_depth: int = 6) -> MitsubaReference:
+def scene_reference(
+    scene: str | SceneFile, *, transport: str = "baked", spp: int = 32, max_depth: int = 6, lights: bool = False
+) -> MitsubaReference:
     """
-    The shapes of a Mitsuba XML scene as a reference; its sensors, integrator and lights, shapes that emit too, stay out.
+    The shapes of a Mitsuba XML scene as a reference, in its own units; its sensors and integrator stay out.
+
+    Parameters
+    ----------
+    scene : str or SceneFile
+    transport, spp, max_depth
+        As in :func:`make_reference`.
+    lights : bool
+        Whether emitters and emitting shapes light it, in addition to the light of the views; they are not seen.
+
+    Raises
+    ------
+    AssetError
+        Mitsuba cannot load the scene, or it has no shapes.
     """
-    try:
-        scene = mi.load_file(str(path), optimize=False)
-    except Exception as error:  # Mitsuba raises plain RuntimeError for everything
-        raise AssetError(f"{path}: Mitsuba cannot load this scene: {str(error).splitlines()[0]}") from error
-    lit = [shape for shape in scene.shapes() if not shape.is_emitter()]
-    if len(lit) < len(scene.shapes()):
-        log.warning("%s: %d shapes are area lights and stay out", path, len(scene.shapes()) - len(lit))
-    shapes = {f"shape_{k}": shape for k, shape in enumerate(lit)}
-    if not shapes:
-        raise AssetError(f"{path}: the scene has no shapes")
-    return MitsubaReference(shapes, _integrator(transport, max_depth, True), spp)
+    file = scene if isinstance(scene, SceneFile) else SceneFile(scene)
+    lit = [shape for shape in file.shapes if lights or not is_emitting(shape)]
+    if not any(shape.plugin != "shapegroup" and not is_emitting(shape) for shape in lit):
+        raise AssetError(f"{file.path.name}: the scene has no shapes but lights")
+    if len(lit) < len(file.shapes) and file is not scene:  # of a file read before, its reader has told so
+        log.warning("%s: %d shapes are area lights and stay out", file.path.name, len(file.shapes) - len(lit))
+    # Emitters know the scene that they are in, so they cannot be shared with another one.
+    shapes = {f"shape_{k}": file.make(shape, fresh=is_emitting(shape)) for k, shape in enumerate(lit)}
+    emitters = {f"emitter_{k}": file.make(e, fresh=True) for k, e in enumerate(file.emitters if lights else ())}
+    return MitsubaReference(shapes | emitters, _integrator(transport, max_depth, _see_through(file, lit)), spp)
+
+
+def _see_through(file: SceneFile, shapes: list[Node]) -> bool:
+    """Whether rays pass straight through anything: masks, and the borders of media."""
+    for shape in shapes:
+        members = shape.of_kind("Shape")  # of a group; of an instance: the group
+        if members and _see_through(file, members):
+            return True
+        if shape.of_kind("Medium"):
+            return True
+        bsdf = None if members else file.make(shape).bsdf()
+        if bsdf is not None and mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null):
+            return True
+    return False
