@@ -45,11 +45,8 @@ class Cameras:
             [*views.light_position, mi.Float(0)],
             [*views.light_intensity, mi.Float(0)],
         ]
-        packets = dr.empty(mi.Float, n * 24)
-        lane = dr.arange(mi.UInt32, n)
-        flat = [c for row in rows for c in row]
-        for k, c in enumerate(flat):
-            dr.scatter(packets, c + dr.zeros(mi.Float, n), lane * 24 + k)
+        columns = [c + dr.zeros(mi.Float, n) for row in rows for c in row]
+        packets = dr.ravel(mi.ArrayXf(columns))
         return Cameras(packets, n, views.width, views.height)
 
     def fetch(self, view: mi.UInt32, row: int, active=True) -> mi.Vector4f:
@@ -102,18 +99,26 @@ def film_samples(
     ----------
     index : mi.UInt32, optional
         Which samples; all of them if not given.
+
+    Notes
+    -----
+    Pixels come in tiles of 4x4, one vector of 16 rays each: near rays visit the same boxes and triangles.
     """
     if index is None:
         index = dr.arange(mi.UInt32, cameras.n_pixels * spp)
-    pixel = index // spp if spp > 1 else index
-    k = mi.Float(index - pixel * spp) if spp > 1 else mi.Float(0)
+    place = index // spp if spp > 1 else index
+    k = mi.Float(index - place * spp) if spp > 1 else mi.Float(0)
+    tile = 4 if cameras.height % 4 == 0 else 1
+    strip = place // (tile * cameras.width)
+    place -= strip * (tile * cameras.width)
+    column = place // tile
+    row = strip * tile + (place - column * tile)
+    pixel = row * cameras.width + column
     # The usual four rounds leave the shifts of neighbouring pixels correlated (0.45) and uneven.
     shift_x, shift_y = mi.sample_tea_32(pixel, seed, 6)
     to_unit = 2.0**-32
     jx = dr.fma(k, 1 / spp, mi.Float(shift_x) * to_unit)
     jy = dr.fma(k, 0.6180339887, mi.Float(shift_y) * to_unit)
-    row = pixel // cameras.width
-    column = pixel - row * cameras.width
     view = row // cameras.height
     x = mi.Float(column) + (jx - dr.floor(jx))
     y = mi.Float(row - view * cameras.height) + (jy - dr.floor(jy))
