@@ -321,7 +321,8 @@ def test_usd_geometry(model, tmp_path):
     assert st.GetInterpolation() == UsdGeom.Tokens.faceVarying
     uv = np.array(st.ComputeFlattened()).reshape(-1, 3, 2) * [1, -1] + [0, 1]
     np.testing.assert_allclose(uv, model.mesh.uvs[model.mesh.faces], atol=1e-6)
-    normals = vertex_normals(model.mesh.positions, model.mesh.position_faces)
+    assert mesh.GetNormalsInterpolation() == UsdGeom.Tokens.faceVarying
+    normals = vertex_normals(model.mesh.positions, model.mesh.position_faces)[model.mesh.position_faces].reshape(-1, 3)
     np.testing.assert_allclose(np.array(mesh.GetNormalsAttr().Get()), normals, atol=1e-6)
     np.testing.assert_array_equal(np.array(mesh.GetExtentAttr().Get()), [points.min(0), points.max(0)])
     assert mesh.GetSubdivisionSchemeAttr().Get() == "none"
