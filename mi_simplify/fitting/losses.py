@@ -101,16 +101,24 @@ def frame_loss(image: mi.Vector4f, reference: mi.Vector4f, background: mi.Color3
     -------
     value : mi.Float, width 1
     grad : mi.Vector4f, width N
-        ∂value/∂image. Both in one kernel.
+        ∂value/∂image. Both in one kernel, which passes over pixels that are equal, such as those of the background.
     """
     n = dr.width(image)
-    image = mi.Vector4f(dr.detach(image))
-    dr.enable_grad(image)
-    per_pixel = dr.mean(loss(compose(image, background), compose(reference, background)))
-    per_pixel += coverage * dr.square(image.w - reference.w)
-    dr.set_grad(per_pixel, 1 / n)
-    dr.enqueue(dr.ADMode.Backward, per_pixel)
-    dr.traverse(dr.ADMode.Backward)
-    per_pixel, grad = dr.detach(per_pixel), dr.grad(image)
-    dr.eval(per_pixel, grad)
-    return dr.sum(per_pixel) / n, grad
+
+    def differ(image, reference, background):
+        image = mi.Vector4f(image)
+        dr.enable_grad(image)
+        value = dr.mean(loss(compose(image, background), compose(reference, background)))
+        value += coverage * dr.square(image.w - reference.w)
+        dr.set_grad(value, 1 / n)
+        dr.enqueue(dr.ADMode.Backward, value)
+        dr.traverse(dr.ADMode.Backward)
+        return dr.detach(value), dr.grad(image)
+
+    def equal(image, reference, background):
+        return mi.Float(0), mi.Vector4f(0)
+
+    image, reference = mi.Vector4f(dr.detach(image)), mi.Vector4f(reference)
+    value, grad = dr.if_stmt((image, reference, background), dr.any(image != reference), differ, equal)
+    dr.eval(value, grad)
+    return dr.sum(value) / n, grad
