@@ -138,6 +138,7 @@ def guess_for(asset: Asset, config: Config, frame: Frame) -> tuple[Model, list[s
         kind=initial.kind,
         init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh)),
         seed=config.seed,
+        crease_angle=initial.crease_angle,
     )
 
 

@@ -93,6 +93,12 @@ class Initial(Section):
     triangles: int = Field(3000, ge=4, description="Triangle budget of the result.")
     mesh: FilePath | None = Field(None, description="Mesh file to start from; only with `kind: mesh`.")
     atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
+    crease_angle: float = Field(
+        30.0,
+        ge=0,
+        le=180,
+        description="Edges of the first guess that turn by more than this get two normals [degrees]; 180: all smooth.",
+    )
     textures: Literal["bake", "constant", "random"] = Field(
         "bake", description="Sample them from the asset, fill them with its mean, or with noise."
     )
