@@ -41,10 +41,11 @@ def main(argv: list[str] | None = None) -> int:
         return _fail(error.format_message())
     except UserError as error:
         return _fail(str(error), error.exit_code)
-    except (click.Abort, KeyboardInterrupt) as interrupt:
-        print(f"interrupted{_said(interrupt)}", file=sys.stderr)
-        return 130
-    except Exception:
+    except (click.Abort, KeyboardInterrupt, Exception) as error:
+        interrupt = _interrupt(error)
+        if interrupt is not None:
+            print(f"interrupted: {interrupt}" if str(interrupt) else "interrupted", file=sys.stderr)
+            return 130
         traceback.print_exc()
         print("this is a defect of mi_simplify, please report it with the lines above", file=sys.stderr)
         return 1
@@ -66,10 +67,11 @@ def _fail(message: str, code: int = 2) -> int:
     return code
 
 
-def _said(interrupt: BaseException) -> str:
-    """What the interrupted job has to say, such as how to go on."""
-    reason = interrupt.__cause__ or interrupt
-    return f": {reason}" if str(reason) else ""
+def _interrupt(error: BaseException | None) -> BaseException | None:
+    """The keyboard interrupt behind an error: click and Dr.Jit wrap it into exceptions of their own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error
 
 
 def _options(*options: Callable) -> Callable:

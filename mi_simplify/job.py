@@ -18,6 +18,7 @@ from .export import export_model
 from .export.files import write_atomic
 from .fitting import Fit, FitResult, fit
 from .initial import first_guess
+from .interrupt import DeferredInterrupt
 from .latent.model import Model
 from .output import RunFolder
 from .progress import Progress, ProgressCallback, silent
@@ -28,6 +29,7 @@ from .scenes.asset import Asset
 from .scenes.load import load_asset
 from .scenes.read_mitsuba import SceneAsset
 from .scenes.reference import Reference, make_reference
+from .scenes.samples import sample_asset
 
 
 @dataclass(frozen=True)
@@ -100,9 +102,7 @@ def open_asset(name: str) -> Asset:
     A model file, or the procedural sample that ``sample:NAME`` stands for.
     """
     if name.startswith(SAMPLE_PREFIX):
-        from .scenes.samples import make_sample
-
-        return make_sample(name.removeprefix(SAMPLE_PREFIX))
+        return sample_asset(name.removeprefix(SAMPLE_PREFIX))
     return load_asset(name)
 
 
@@ -176,11 +176,21 @@ def run_job(
         The asset, the configuration, the output folder or this machine cannot be used; nothing is
         left behind in ``out``.
     KeyboardInterrupt
-        After writing the model as far as it was fitted.
+        Ctrl-C, after the running step; the model as far as it was fitted is in ``out``. A second Ctrl-C does not wait.
     """
     folder = RunFolder(out, overwrite=overwrite)
-    variant = ensure_variant(config.variant)
-    config = config.model_copy(update={"variant": variant})
+    config = config.model_copy(update={"variant": ensure_variant(config.variant)})
+    with DeferredInterrupt() as interrupt:
+
+        def checked(event: Progress) -> None:
+            progress(event)
+            interrupt.check()
+
+        return _run_job(config, folder, checked, interrupt)
+
+
+def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, interrupt: DeferredInterrupt) -> Result:
+    """The stages in their order, with the variant set and the folder free."""
     clock = _Stopwatch()
     progress(Progress("load", message=config.asset))
     asset = open_asset(config.asset)
@@ -193,7 +203,7 @@ def run_job(
     clock.lap("first guess")
     with folder.opened():
         write_atomic(folder.path / "config.yaml", dump(config))
-        fitted = _fit(guess, reference, config, frame, folder, progress)
+        fitted = _fit(guess, reference, config, frame, folder, progress, interrupt)
         clock.lap("fit")
         guess, model = frame.restored(guess), frame.restored(fitted.model)
         progress(Progress("export"))
@@ -207,7 +217,7 @@ def run_job(
             resolution=judged.resolution, spp=judged.spp, seed=config.seed, progress=progress,
         )  # fmt: skip
         clock.lap("evaluate")
-        run = {**_facts(config), "variant": variant, "notes": notes, "seconds": clock.seconds}
+        run = {**_facts(config), "variant": config.variant, "notes": notes, "seconds": clock.seconds}
         comparison = replace(comparison, figures={**comparison.figures, "run": run})
         models = sorted(path for path in folder.path.iterdir() if path.name.startswith("model"))
         with folder.staged() as stage:
@@ -220,7 +230,13 @@ def run_job(
 
 
 def _fit(
-    guess: Model, reference: Reference, config: Config, frame: Frame, folder: RunFolder, progress: ProgressCallback
+    guess: Model,
+    reference: Reference,
+    config: Config,
+    frame: Frame,
+    folder: RunFolder,
+    progress: ProgressCallback,
+    interrupt: DeferredInterrupt,
 ) -> FitResult:
     """The fit with its log; a keyboard interrupt leaves the model behind as far as it got."""
     newest: list[tuple[Fit, int]] = []
@@ -233,6 +249,7 @@ def _fit(
 
     def remember(run: Fit, step: int) -> None:
         newest[:] = [(run, step + 1)]
+        interrupt.check()
 
     try:
         return fit(guess, reference, config, logged, remember)

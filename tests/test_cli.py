@@ -299,6 +299,21 @@ def test_an_interrupt_is_code_130_and_says_what_is_there(monkeypatch, capsys):
     assert capsys.readouterr().err.strip() == "interrupted: out holds the model after 7 of 10 steps"
 
 
+def test_an_interrupt_inside_a_callback_of_drjit_is_one_too(monkeypatch, capsys):
+    import drjit as dr
+    import mitsuba as mi
+
+    def interrupted(*args, **kwargs):
+        def body(x):
+            raise KeyboardInterrupt
+
+        dr.if_stmt((mi.Float(1, 2),), mi.Bool(True, False), body, body)
+
+    monkeypatch.setattr(job, "run_job", interrupted)
+    assert cli.main(["simplify", "x.obj", "-n", "5", "-o", "out"]) == 130
+    assert capsys.readouterr().err.strip() == "interrupted"
+
+
 def test_options_reach_the_job(monkeypatch, tmp_path, capsys):
     jobs = []
 

@@ -1,6 +1,7 @@
 """The job in Python: the frame, the snippet of the documentation, the progress shown."""
 
 import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from mi_simplify.config import load_config
 from mi_simplify.display import Bar, Lines, Silent
 from mi_simplify.errors import AssetError
+from mi_simplify.interrupt import DeferredInterrupt
 from mi_simplify.job import Frame, reference_for
 from mi_simplify.progress import Progress
 from mi_simplify.scenes.asset import Asset, Instance, Part
@@ -88,6 +90,19 @@ def test_every_public_name_exists():
         assert getattr(mi_simplify, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         mi_simplify.nothing  # noqa: B018
+
+
+def test_the_first_interrupt_waits_and_the_second_does_not():
+    before = signal.getsignal(signal.SIGINT)
+    with DeferredInterrupt() as interrupt:
+        interrupt.check()
+        signal.raise_signal(signal.SIGINT)
+        assert interrupt.pending
+        with pytest.raises(KeyboardInterrupt):
+            interrupt.check()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def run_of_progress(display) -> None:

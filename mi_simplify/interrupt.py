@@ -1,0 +1,45 @@
+"""
+Ctrl-C that waits for a good moment.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from types import FrameType, TracebackType
+from typing import Self
+
+
+class DeferredInterrupt:
+    """
+    A context in which the first Ctrl-C is only noted; the second one interrupts as usual.
+
+    Dr.Jit turns an exception that Python raises inside one of its callbacks into another error, and
+    an interrupted step leaves a model half updated: so whoever runs the steps calls :meth:`check`
+    between them. Outside the main thread, which alone receives signals, nothing changes.
+    """
+
+    def __init__(self):
+        self.pending = False
+
+    def __enter__(self) -> Self:
+        self._main = threading.current_thread() is threading.main_thread()
+        if self._main:
+            self._before = signal.signal(signal.SIGINT, self._note)
+        return self
+
+    def __exit__(self, kind: type | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        if self._main:
+            signal.signal(signal.SIGINT, self._before)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        if self.pending:
+            raise KeyboardInterrupt
+        self.pending = True
+
+    def check(self) -> None:
+        """
+        Raise :class:`KeyboardInterrupt` where one has been noted.
+        """
+        if self.pending:
+            raise KeyboardInterrupt
