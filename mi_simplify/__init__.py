@@ -61,9 +61,7 @@ def __dir__() -> list[str]:
 
 
 def _install_plugins() -> None:
-    from . import plugins
-
-    plugins.install()
+    importlib.import_module(".plugins", __name__)  # registers itself
 
 
 _after_import("mitsuba", _install_plugins)

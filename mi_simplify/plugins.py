@@ -1,5 +1,5 @@
 """
-Registers our Mitsuba plugins with whichever variant is active, now and after every change of it.
+Registers our Mitsuba plugins, once this module is imported, with the active variant and after every change of it.
 """
 
 from __future__ import annotations
@@ -41,18 +41,14 @@ def _refuse(_props: mi.Properties) -> None:
     require_ad_variant()
 
 
-def install() -> None:
-    """
-    Register the plugins from now on; called once, when the package is imported.
-    """
-    mi.detail.add_variant_callback(_register)
-    if mi.variant() is not None:
-        _register(None, mi.variant())
-
-
 def require_ad_variant() -> None:
     """
     Raise where the active variant has no gradients or is not RGB.
     """
     if mi.variant() not in VARIANTS:
         raise RuntimeUnavailable(f"variant '{mi.variant()}' cannot be used: choose one of {', '.join(VARIANTS)}")
+
+
+mi.detail.add_variant_callback(_register)
+if mi.variant() is not None:
+    _register(None, mi.variant())
