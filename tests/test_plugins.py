@@ -65,12 +65,29 @@ for variant in ('llvm_ad_rgb', 'scalar_rgb', 'llvm_ad_rgb', 'llvm_ad_mono', 'sca
     assert out.split() == ["rendered"] * 3
 
 
+def test_classes_belong_to_the_variant_that_is_active():
+    """As between LLVM and CUDA, here with a variant that needs no GPU put on the list."""
+    python(
+        """
+import mi_simplify
+from mi_simplify import plugins
+import mitsuba as mi
+plugins.VARIANTS += ('llvm_ad_mono',)
+for variant in ('llvm_ad_rgb', 'llvm_ad_mono', 'llvm_ad_rgb'):
+    mi.set_variant(variant)
+    assert isinstance(mi.load_dict({'type': 'ggx_gamma'}), mi.BSDF), variant
+    assert isinstance(mi.load_dict({'type': 'direct_edge'}), mi.Integrator), variant
+"""
+    )
+
+
 @pytest.mark.parametrize(
     "first",
     [
         "import mitsuba as mi\nmi.set_variant('llvm_ad_rgb')\nimport mi_simplify",
         "import mitsuba as mi\nimport mi_simplify\nmi.set_variant('llvm_ad_rgb')",
         "import mi_simplify\nfrom mi_simplify import runtime\nruntime.ensure_variant()\nimport mitsuba as mi",
+        "from mi_simplify import plugins\nimport mitsuba as mi\nmi.set_variant('llvm_ad_rgb')",
     ],
 )
 def test_plugins_are_there_in_any_order_of_imports(first):

@@ -124,6 +124,21 @@ def test_every_channel_of_a_material_arrives():
         bitmap(np.zeros((2, 2, 2)))
 
 
+def test_each_part_has_its_own_material_and_attributes():
+    """Four quarters: red, green with a normal map, blue by its vertices, and red again, which is the same object."""
+    red, green = lambert([0.8, 0, 0]), lambert([0, 0.8, 0], normal=np.tile(np.float32([0, 0, 1]), (2, 2, 1)))
+    blue = np.tile(np.float32([0, 0, 1, 1]), (4, 1))
+    quarter = lambda x, y, m, c=None: Part(VERTICES / 2 + [x, y, 0], FACES, None, UPRIGHT, c, m)  # noqa: E731
+    parts = quarter(-0.5, 0.5, red), quarter(0.5, 0.5, green), quarter(-0.5, -0.5, red, blue), quarter(0.5, -0.5, red)
+    parts = (*parts[:2], quarter(-0.5, -0.5, lambert([0.8] * 3), blue), parts[3])
+    asset = Asset(parts, tuple(Instance(k) for k in range(4)))
+    got = picture(asset)
+    expected = [[0.8, 0, 0], [0, 0.8, 0], [0, 0, 0.8], [0.8, 0, 0]]
+    assert np.allclose([got[y, x, :3] for y, x in ((4, 4), (4, 11), (11, 4), (11, 11))], expected, atol=0.03)
+    shapes = asset_shapes(asset)
+    assert shapes["part_0"].bsdf() is shapes["part_3"].bsdf()
+
+
 def test_vertex_colours_multiply_base_colour_and_opacity():
     colors = np.float32([[1, 0, 0, 0.5], [0, 1, 0, 0.5], [0, 1, 0, 0.5], [1, 0, 0, 0.5]])  # red left, green right
     for base in (np.float32([0.5, 0.5, 0.5]), np.full((2, 2, 3), 0.5, np.float32)):
