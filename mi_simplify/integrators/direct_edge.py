@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import UserError
-from .scene_edges import SceneEdges, sensor_cameras
+from .scene_edges import SceneEdges, lights_move, sensor_cameras
 
 log = logging.getLogger("mi_simplify")
 
@@ -84,8 +84,9 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             if self.layers > 1:
                 through *= dr.select(alive, bsdf.eval_null_transmission(si, alive), 1)
                 alive &= dr.max(dr.detach(through)) > 1e-4
-                ray = si.spawn_ray(dr.detach(ray.d))
-                ray.o = dr.detach(ray.o)
+                # Along the ray itself: `spawn_ray` steps off it by more than the width of an edge sample.
+                step = mi.math.RayEpsilon * (1 + dr.max(dr.abs(dr.detach(si.p))))
+                ray = mi.Ray3f(dr.fma(ray.d, dr.detach(si.t) + step, ray.o), ray.d, ray.time, ray.wavelengths)
             else:
                 through = dr.select(alive, 0, through)
         coverage = 1 - dr.mean(through)
@@ -134,11 +135,11 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             if self._edges is None or not self._edges.is_of(scene):
                 self._edges = SceneEdges(scene)
         positions = self._edges.moving_positions(sensor)
-        if positions is None:
-            return None
-        if self.shadows and not self._warned:
+        if self.shadows and not self._warned and (positions is not None or lights_move(scene)):
             log.warning("direct_edge: derivatives of shadow borders are not computed; shadows are constants")
             self._warned = True
+        if positions is None:
+            return None
         film = sensor.film()
         cameras = sensor_cameras(sensor)
         n = max(1024, int(cameras.n_pixels * spp * self.edge_fraction))

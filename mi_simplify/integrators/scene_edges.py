@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import UserError
 from ..latent.topology import weld
-from ..scenes.shapes import mesh_faces, mesh_normals, mesh_positions, mesh_uvs
+from ..scenes.shapes import POSITIONS, mesh_faces, mesh_positions
 from ..scenes.views import Views
 from ..upload import upload
 from .camera import Cameras
@@ -24,7 +24,7 @@ def sensor_cameras(sensor: mi.Sensor) -> Cameras:
     Raises
     ------
     UserError
-        The sensor is no perspective camera, or its principal point is off the centre.
+        The sensor is no perspective camera, its principal point is off the centre, or its film samples beyond its border.
     """
     params = mi.traverse(sensor)
     kind = sensor.class_name() if hasattr(sensor, "class_name") else type(sensor).__name__
@@ -34,6 +34,8 @@ def sensor_cameras(sensor: mi.Sensor) -> Cameras:
         key = f"principal_point_offset_{axis}"
         if key in params and float(dr.detach(mi.Float(params[key]))[0]) != 0:
             raise UserError("direct_edge: visibility gradients need the principal point in the middle of the film")
+    if sensor.film().sample_border():
+        raise UserError("direct_edge: visibility gradients stop at the film's border, set its `sample_border` to false")
     to_world = mi.Matrix4f(params["to_world"].matrix)
     column = lambda k: mi.Vector3f(to_world[0, k], to_world[1, k], to_world[2, k])  # noqa: E731
     size = sensor.film().size()
@@ -90,6 +92,18 @@ class SceneEdges:
         """Whether the topology is that of this scene."""
         return self._scene is scene and self._key == [id(s) for s in scene.shapes()]
 
+    def _refuse_moving_groups(self) -> None:
+        """
+        Raise where a mesh moves that is in the scene only through instances.
+        """
+        own = {f"{s.id()}.{POSITIONS}" for s in self._shapes}
+        for key, value in mi.traverse(self._scene):
+            if key.endswith("." + POSITIONS) and key not in own and dr.grad_enabled(value):
+                raise UserError(
+                    f"direct_edge: '{key}' moves inside an instance, whose silhouette has no gradient here;"
+                    " place the mesh itself in the scene"
+                )
+
     def moving_positions(self, sensor: mi.Sensor) -> mi.Float | None:
         """
         Welded positions of all meshes, flat, attached where they move; None where nothing visible moves.
@@ -99,13 +113,15 @@ class SceneEdges:
         UserError
             A shape moves whose silhouette is not handled.
         """
-        camera_moves = dr.grad_enabled(mi.traverse(sensor)["to_world"]) if "to_world" in mi.traverse(sensor) else False
+        camera_moves = _attached(sensor)
         for shape in self._others:
-            if camera_moves or any(dr.grad_enabled(v) for _, v in mi.traverse(shape) if dr.is_array_v(v)):
+            if camera_moves or _attached(shape):
                 raise UserError(
                     f"direct_edge: shape '{shape.id()}' is no triangle mesh, its moving silhouette has no gradient here;"
                     " turn it into a mesh, or keep it and the camera still"
                 )
+        if self._others:
+            self._refuse_moving_groups()
         positions = [mesh_positions(mesh) for mesh in self._shapes]
         if self.edges is None or not (camera_moves or any(dr.grad_enabled(p) for p in positions)):
             return None
@@ -113,13 +129,40 @@ class SceneEdges:
         return welded[0] if len(welded) == 1 else dr.concat(welded)
 
 
+def lights_move(scene: mi.Scene) -> bool:
+    """
+    Whether a light's place or direction carries a gradient, so that shadow borders move with it.
+    """
+    return any(_attached(e) for e in scene.emitters())
+
+
+#: Parameters by which a shape, sensor or light moves; the rest is its look.
+_MOTION = ("to_world", "position", "direction", "x_fov", "center", "radius", "p0", "p1", "grid", "control_points", POSITIONS)
+
+
+def _attached(thing: mi.Object) -> bool:
+    """
+    Whether a parameter by which this object itself moves (not a texture of it) carries a gradient.
+    """
+    return any(key in _MOTION and dr.grad_enabled(value) for key, value in mi.traverse(thing))
+
+
 def _shading_keys(mesh: mi.Mesh, faces: np.ndarray) -> np.ndarray:
     """
-    An index per corner, equal where two faces shade alike: of the normal and the UV, or of the face if it is flat.
+    An index per corner, equal where two faces shade alike: of the vertex, or of the face where that shades by itself.
     """
-    normals, uvs = mesh_normals(mesh), mesh_uvs(mesh)
-    if normals is None:
+    if not mesh.has_vertex_normals() or _follows_face(mesh):
         return np.repeat(np.arange(len(faces))[:, None], 3, axis=1)
-    rows = normals if uvs is None else np.concatenate([normals, uvs], axis=1)
-    _, index = weld(np.round(rows, 6))
-    return index[faces]
+    # Not by the value of normal and UV: Mitsuba computes normals anew, per split vertex, as soon as positions move.
+    return faces
+
+
+def _follows_face(mesh: mi.Mesh) -> bool:
+    """
+    Whether the shading turns with ∂p/∂u, which in Mitsuba belongs to the face: normal and bump maps, anisotropy.
+    """
+    bsdf = mesh.bsdf()
+    if getattr(bsdf, "mesh_tangents", False):
+        return False
+    keys = [key for key, _ in mi.traverse(bsdf)]
+    return mi.has_flag(bsdf.flags(), mi.BSDFFlags.Anisotropic) or any("normal" in k or "nested_texture" in k for k in keys)
