@@ -28,12 +28,12 @@ def texel_counts(mesh: Mesh, size: int) -> np.ndarray:
     extent = np.maximum(high - low + 1, 0)  # texel centres in the box
     n = extent[:, 0] * extent[:, 1]
     counts = np.zeros(size * size, np.int64)
-    start = 0
     ends = np.cumsum(n)
+    start = done = 0
     while start < len(n):
-        stop = max(int(np.searchsorted(ends, (ends[start - 1] if start else 0) + _CHUNK)), start + 1)
+        stop = max(int(np.searchsorted(ends, done + _CHUNK)), start + 1)
         f = np.repeat(np.arange(start, stop), n[start:stop])
-        k = np.arange(len(f)) - np.repeat(ends[start:stop] - n[start:stop] - (ends[start - 1] if start else 0), n[start:stop])
+        k = done + np.arange(len(f)) - np.repeat(ends[start:stop] - n[start:stop], n[start:stop])
         x, y = low[f, 0] + k % extent[f, 0], low[f, 1] + k // extent[f, 0]
         point = np.stack([x, y], 1) + 0.5
         inside = np.ones((2, len(f)), bool)
@@ -43,7 +43,7 @@ def texel_counts(mesh: Mesh, size: int) -> np.ndarray:
             inside &= np.stack([side > 1e-4, side < -1e-4])  # texels², far above rounding
         hit = inside.any(0)
         counts += np.bincount((y[hit] % size) * size + x[hit] % size, minlength=size * size)
-        start = stop
+        start, done = stop, int(ends[stop - 1])
     return counts.reshape(size, size)
 
 

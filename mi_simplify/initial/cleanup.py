@@ -345,9 +345,7 @@ def _enclosed(corners: np.ndarray, sheet: np.ndarray, closed: np.ndarray, s: int
     a, b, c = r.transpose(1, 0, 2)
     la, lb, lc = length.T
     dot = np.einsum
-    denominator = (
-        la * lb * lc + dot("fi,fi->f", a, b) * lc + dot("fi,fi->f", b, c) * la + dot("fi,fi->f", c, a) * lb
-    )
+    denominator = la * lb * lc + dot("fi,fi->f", a, b) * lc + dot("fi,fi->f", b, c) * la + dot("fi,fi->f", c, a) * lb
     angle = 2 * np.arctan2(numerator, denominator)
     turns = np.abs(np.bincount(sheet[others], angle, len(closed))) / (4 * np.pi)
     return bool(np.round(turns).astype(int).sum() % 2)

@@ -103,7 +103,9 @@ def first_guess(
     if textures == "bake":
         baked = bake(asset, mesh, size=atlas_size, samples=samples)
         if baked.missed > 0.05:
-            notes.append(f"{baked.missed:.0%} of the baked points met no surface along their normal and took the closest")
+            notes.append(
+                f"{baked.missed:.0%} of the baked points saw no surface along their normal and took the closest"
+            )
         mode, cutoff = alpha_of(asset, baked.base_color)
         model = replace(
             model, base_color=baked.base_color, specular=baked.specular, normal=baked.normal,

@@ -104,7 +104,8 @@ class LowPoly:
         pw, nr, tw, sw = _blend(self.packets, 4, corners, pi.prim_uv, active)
         n = dr.normalize(nr.xyz)
         t = dr.normalize(tw.xyz - n * dr.dot(n, tw.xyz))
-        return Points(active, mi.Point3f(pw.xyz), n, t, dr.select(tw.w < 0, mi.Float(-1), 1), nr.w, dr.normalize(sw.xyz))
+        w = dr.select(tw.w < 0, mi.Float(-1), 1)
+        return Points(active, mi.Point3f(pw.xyz), n, t, w, nr.w, dr.normalize(sw.xyz))
 
 
 def _blend(packets: mi.Float, slots: int, corners: mi.Vector3u, b: mi.Point2f, active) -> list[mi.Vector4f]:
@@ -193,7 +194,7 @@ class Detail:
         Returns
         -------
         list of mi.Float
-            Fourteen numbers: RGB times opacity, RGB, opacity, (gamma, roughness, metallic), tangent-space normal, height.
+            RGB times opacity, RGB, opacity, (gamma, roughness, metallic), tangent-space normal, height: 14 numbers.
         """
         corners = dr.gather(mi.Vector3u, self.faces, hits.face)
         pu, nv, tw, color = _blend(self.packets, 4, corners, hits.b, True)

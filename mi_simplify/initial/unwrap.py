@@ -71,7 +71,8 @@ def unwrap(
         group_position = np.empty(corners.max() + 1, np.int64)
         group_position[corners] = faces
         normals = vertex_normals(positions, faces, corners)
-        index, uvs, out_faces = _run_xatlas(positions[group_position], corners, normals, atlas_size, padding, time_limit)
+        points = positions[group_position]
+        index, uvs, out_faces = _run_xatlas(points, corners, normals, atlas_size, padding, time_limit)
     except _Failed as failure:
         notes.append(f"xatlas {failure}; every triangle is a chart of its own, which wastes texels and adds seams")
         index, uvs, out_faces = triangle_charts(positions, corners, atlas_size, padding)

@@ -1,0 +1,70 @@
+"""The embedded sample: always the same, detailed enough, and without symmetry."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from mi_simplify.errors import AssetError
+from mi_simplify.initial.cleanup import clean, merge
+from mi_simplify.scenes.samples import sample_asset, sample_names
+
+
+@pytest.fixture(scope="module")
+def relic():
+    return sample_asset("relic:20k")
+
+
+def digest(asset) -> str:
+    h = hashlib.sha256()
+    for part in asset.parts:
+        for array in (part.vertices, part.faces, part.uvs, part.material.base_color, part.material.specular):
+            h.update(np.ascontiguousarray(array).tobytes())
+    return h.hexdigest()
+
+
+def test_the_full_relic_is_detailed_textured_and_part_metal():
+    asset = sample_asset("relic")
+    assert asset.n_triangles > 100_000
+    assert {p.material.base_color.shape[0] for p in asset.parts} >= {1024, 2048}
+    metallic = np.concatenate([p.material.specular[..., 2].ravel() for p in asset.parts])
+    assert set(np.unique(metallic)) == {0.0, 1.0} and 0.1 < metallic.mean() < 0.9
+    roughness = np.concatenate([p.material.specular[..., 1].ravel() for p in asset.parts])
+    assert roughness.min() < 0.25 and roughness.max() > 0.6
+    for part in asset.parts:
+        assert part.uvs.min() >= 0 and np.isfinite(part.vertices).all()
+
+
+def test_two_calls_give_the_same(relic):
+    assert digest(relic) == digest(sample_asset("relic:20k"))
+
+
+@pytest.mark.parametrize(("name", "wanted"), [("relic:20k", 20_000), ("relic:60000", 60_000)])
+def test_size_follows_the_number(name, wanted):
+    assert wanted * 0.85 < sample_asset(name).n_triangles < wanted * 1.3
+
+
+def test_every_closed_part_faces_outwards(relic):
+    soup, notes = clean(merge(relic))
+    assert not any("rewound" in n for n in notes), notes
+    egg = relic.parts[0]
+    p = egg.vertices[egg.faces]
+    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    assert (np.einsum("fi,fi->f", n, p.mean(1)) > 0).mean() > 0.95
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_no_mirror_image_looks_the_same(relic, axis):
+    points = np.concatenate([p.vertices for p in relic.parts])
+    mirrored = points * np.where(np.arange(3) == axis, -1, 1) + 0.0
+    bins = [np.linspace(-1.3, 1.3, 14)] * 3
+    a, b = (np.histogramdd(x, bins)[0] > 0 for x in (points, mirrored))
+    assert (a ^ b).sum() / (a | b).sum() > 0.2
+
+
+def test_unknown_names_say_what_there_is():
+    assert sample_names() == ["relic"]
+    with pytest.raises(AssetError, match="there is relic"):
+        sample_asset("teapot")
+    with pytest.raises(AssetError, match="relic:20k"):
+        sample_asset("relic:many")
