@@ -35,10 +35,10 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
        - Leave directly visible emitters out of the picture. (Default: true)
 
     One emitter sample per camera sample: exact for point, directional and spot lights, noisy for
-    area lights and environments. Derivatives by all texture, BSDF and emitter parameters, by vertex positions and by the camera:
-    interior ones by automatic differentiation along the fixed ray, those of visibility by samples on silhouettes, open and
-    non-manifold edges, hard creases and chart borders, found on *welded* positions. Works with any
-    reconstruction filter and any number of layers.
+    area lights and environments. Derivatives by all texture, BSDF and emitter parameters, by vertex positions
+    and by the camera: interior ones by automatic differentiation along the fixed ray, those of visibility by samples
+    on silhouettes, open and non-manifold edges, hard creases and chart borders, found on *welded* positions. Works
+    with any reconstruction filter and any number of layers.
 
     Raises, when a derivative is asked for, where it would be wrong: moving shapes that are no triangle meshes
     (instances too), sensors other than `perspective`. BSDFs that turn black where the *shading* normal
@@ -85,8 +85,8 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 through *= dr.select(alive, bsdf.eval_null_transmission(si, alive), 1)
                 alive &= dr.max(dr.detach(through)) > 1e-4
                 # Along the ray itself: `spawn_ray` steps off it by more than the width of an edge sample.
-                step = mi.math.RayEpsilon * (1 + dr.max(dr.abs(dr.detach(si.p))))
-                ray = mi.Ray3f(dr.fma(ray.d, dr.detach(si.t) + step, ray.o), ray.d, ray.time, ray.wavelengths)
+                t = dr.detach(si.t) + mi.math.RayEpsilon * (1 + dr.max(dr.abs(dr.detach(si.p))))
+                ray = mi.Ray3f(dr.fma(ray.d, dr.select(alive, t, 0), ray.o), ray.d, ray.time, ray.wavelengths)
             else:
                 through = dr.select(alive, 0, through)
         coverage = 1 - dr.mean(through)

@@ -24,7 +24,8 @@ def sensor_cameras(sensor: mi.Sensor) -> Cameras:
     Raises
     ------
     UserError
-        The sensor is no perspective camera, its principal point is off the centre, or its film samples beyond its border.
+        The sensor is no perspective camera, its principal point is off the centre, or its film samples beyond its
+        border.
     """
     params = mi.traverse(sensor)
     kind = sensor.class_name() if hasattr(sensor, "class_name") else type(sensor).__name__
@@ -117,8 +118,8 @@ class SceneEdges:
         for shape in self._others:
             if camera_moves or _attached(shape):
                 raise UserError(
-                    f"direct_edge: shape '{shape.id()}' is no triangle mesh, its moving silhouette has no gradient here;"
-                    " turn it into a mesh, or keep it and the camera still"
+                    f"direct_edge: shape '{shape.id()}' is no triangle mesh, its moving silhouette has no gradient"
+                    " here; turn it into a mesh, or keep it and the camera still"
                 )
         if self._others:
             self._refuse_moving_groups()
@@ -137,7 +138,7 @@ def lights_move(scene: mi.Scene) -> bool:
 
 
 #: Parameters by which a shape, sensor or light moves; the rest is its look.
-_MOTION = ("to_world", "position", "direction", "x_fov", "center", "radius", "p0", "p1", "grid", "control_points", POSITIONS)
+_MOTION = ("to_world", "position", "direction", "x_fov", "center", "radius", "p0", "p1", "grid", "control_points")
 
 
 def _attached(thing: mi.Object) -> bool:
@@ -164,5 +165,5 @@ def _follows_face(mesh: mi.Mesh) -> bool:
     bsdf = mesh.bsdf()
     if getattr(bsdf, "mesh_tangents", False):
         return False
-    keys = [key for key, _ in mi.traverse(bsdf)]
-    return mi.has_flag(bsdf.flags(), mi.BSDFFlags.Anisotropic) or any("normal" in k or "nested_texture" in k for k in keys)
+    maps = [key for key, _ in mi.traverse(bsdf) if "normal" in key or "nested_texture" in key]
+    return bool(maps) or mi.has_flag(bsdf.flags(), mi.BSDFFlags.Anisotropic)
