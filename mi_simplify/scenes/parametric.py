@@ -86,12 +86,12 @@ class Curve:
 
     def __init__(self, knots: np.ndarray, lean: np.ndarray):
         chord = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
-        spline = CubicSpline(chord, knots)
+        spline = CubicSpline(chord, knots, bc_type="natural")
         fine = np.linspace(0, chord[-1], 4000)
         way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(spline(fine), axis=0), axis=1))])
         self.length = float(way[-1])
         self._parameter = lambda s: np.interp(np.asarray(s) * way[-1], way, fine)
-        self._spline, self._lean = spline, CubicSpline(chord, lean)
+        self._spline, self._lean = spline, CubicSpline(chord, lean, bc_type="natural")
 
     def frame(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """
