@@ -13,7 +13,7 @@ CHANNEL_RATES = np.array([0.01] * 3 + [0.02, 0.005] + [0.03] * 3 + [0.015, 0.025
 
 
 def textures(height=5, width=3, extended=True, seed=0):
-    """15 texels: the last block of four is not full. Values in the middle of their ranges."""
+    """15 texels: the tile that they lie in is not full. Values in the middle of their ranges."""
     rng = np.random.default_rng(seed)
     base, specular = (rng.uniform(0.4, 0.6, (height, width, c)).astype(np.float32) for c in (4, 3))
     normal = rng.normal(size=(height, width, 3)) * 0.2 + [0, 0, 1]
@@ -21,15 +21,20 @@ def textures(height=5, width=3, extended=True, seed=0):
     return Textures(base, specular, normal.astype(np.float32), extended)
 
 
+def stored():
+    """Where the 15 texels lie, row by row."""
+    return textures().place(*np.indices((5, 3))).ravel()
+
+
 def values(t):
-    return t.data.numpy()[: t.n_texels * t.n_channels].reshape(t.n_texels, t.n_channels).copy()
+    return t.data.numpy().reshape(-1, t.n_channels)[stored()]
 
 
 def gradient(dense, blocks=None):
     """A gradient in blocks, from one of all texels, shape (T, C)."""
-    n = -(-len(dense) // BLOCK)
+    n = textures().n_stored // BLOCK
     padded = np.zeros((n * BLOCK, dense.shape[1]), np.float32)
-    padded[: len(dense)] = dense
+    padded[stored()] = dense
     blocks = np.arange(n) if blocks is None else np.asarray(blocks)
     packed = padded.reshape(n, -1)[blocks]
     # Not NumPy's memory, whose alignment changes from call to call and with it the kernel.
@@ -84,14 +89,14 @@ def test_unseen_texels_stay_as_they_are_bit_for_bit():
     t, rng = textures(), np.random.default_rng(3)
     adam, before = TexelAdam(t, RATES, 0.03), values(t)
     seen = np.zeros(15, bool)
-    seen[[0, 1, 9]] = True  # two of the first block, one of the third; the second and fourth are not even touched
+    seen[[0, 1, 12]] = True  # two of the first block, one of the third; the second and fourth are not even touched
     for _ in range(5):
         adam.step(gradient(rng.normal(size=(15, 12)) * seen[:, None], blocks=[0, 2]), one())
     after, state = values(t), adam.state()
     assert np.array_equal(after[~seen], before[~seen]) and np.all(np.any(after[seen] != before[seen], axis=1))
-    m, v = (state[k].reshape(-1, 12)[:15] for k in "mv")
+    m, v = (state[k].reshape(-1, 12)[stored()] for k in "mv")
     assert np.all(m[~seen] == 0) and np.all(v[~seen] == 0) and np.all(v[seen] > 0)
-    assert np.array_equal(state["count"][:15], 5.0 * seen)
+    assert np.array_equal(state["count"][stored()], 5.0 * seen)
 
 
 def test_texels_seen_late_start_as_gently_as_the_first():

@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mi_simplify.latent.textures import TexelGradient, Textures, TouchedBlocks
+from mi_simplify.latent.textures import BLOCK, TexelGradient, Textures, TouchedBlocks
 
 
 def images(height, width, seed=0):
@@ -84,7 +84,7 @@ def test_derivative_by_the_uv():
 
 
 @pytest.mark.parametrize("extended", [False, True])
-@pytest.mark.parametrize(("height", "width"), [(8, 8), (3, 5), (16, 9)])
+@pytest.mark.parametrize(("height", "width"), [(8, 8), (3, 5), (16, 9), (33, 40)])
 def test_gradient_is_the_transposed_lookup(height, width, extended):
     """⟨lookup(x), g⟩ = ⟨x, lookupᵀ(g)⟩, in the touched blocks and nowhere else."""
     textures, rng = Textures(*images(height, width), extended), np.random.default_rng(3)
@@ -104,11 +104,20 @@ def test_gradient_is_the_transposed_lookup(height, width, extended):
         np.add.at(expected, ((y0 + dy) % height, (x0 + dx) % width), w[:, None] * g.T)
     assert np.allclose(dense, expected, atol=1e-4)
     value = lookup(textures, u, v)
-    data = textures.data.numpy()[: dense.size].reshape(dense.shape)
+    place = textures.place(*np.indices((height, width)))
+    data = textures.data.numpy().reshape(-1, textures.n_channels)[place]
     assert np.sum(value * g.T) == pytest.approx(np.sum(dense * data), rel=1e-3)
     blocks = collected.blocks.numpy()
-    touched = np.unique(np.flatnonzero(np.any(expected != 0, axis=2)) // 4)
-    assert np.array_equal(blocks, touched) and len(blocks) < (height * width) // 4 + 1 + (height * width <= 16)
+    assert np.array_equal(blocks, np.unique(place[np.any(expected != 0, axis=2)] // BLOCK))
+    assert len(blocks) < textures.n_stored // BLOCK or height < 33
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (8, 8), (17, 9), (16, 24)])
+def test_every_texel_has_a_place_of_its_own(height, width):
+    textures = Textures(*images(height, width))
+    place = textures.place(*np.indices((height, width)))
+    assert len(np.unique(place)) == height * width and place.max() < textures.n_stored < (height + 8) * (width + 8)
+    assert np.all(np.ptp(place[:8, :8]) < 64)  # a tile is in one piece
 
 
 def test_images_come_back():

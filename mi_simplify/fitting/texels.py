@@ -1,5 +1,5 @@
 """
-Adam on the packed latent textures: one kernel for moments, step and projection.
+Adam on the packed latent textures: one kernel for moments, step and projection of the texels that were seen.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..latent.textures import BLOCK, TexelGradient, Textures
+from ..upload import upload
 
 
 class TexelAdam:
@@ -24,7 +25,8 @@ class TexelAdam:
     textures : Textures
         Changed in place by :meth:`step`.
     rates : dict
-        Learning rate at the start of ``base_color``, ``roughness``, ``metallic``, ``normal``, ``opacity``, ``gamma``; 0 keeps it.
+        Learning rate at the start of ``base_color``, ``roughness``, ``metallic``, ``normal``, ``opacity``, ``gamma``;
+        0 keeps it.
     min_roughness : float
         Lower limit.
     """
@@ -51,29 +53,29 @@ class TexelAdam:
             Of all rates.
         """
         textures, n = self.textures, self.textures.n_channels
+        load = lambda buffer, i: dr.gather(mi.ArrayXf, buffer, i, shape=(n, dr.width(i)))  # noqa: E731
         lane = dr.arange(mi.UInt32, dr.width(grad.blocks) * BLOCK)
+        lane = dr.compress(dr.any(load(grad.values, lane) != 0))  # half of them, or fewer
+        if dr.width(lane) == 0:
+            return
         block = lane // BLOCK
         texel = dr.gather(mi.UInt32, grad.blocks, block) * BLOCK + (lane - block * BLOCK)
-        load = lambda buffer, i: dr.gather(mi.ArrayXf, buffer, i, shape=(n, dr.width(lane)))  # noqa: E731
-        g, x, m, v = load(grad.values, lane), *(load(buffer, texel) for buffer in (textures.data, self.m, self.v))
-        seen = dr.any(g != 0)
-        count = dr.gather(mi.Float, self.count, texel) + 1
+        g = load(grad.values, lane)
+        x, m, v = (load(_same_memory(buffer), texel) for buffer in (textures.data, self.m, self.v))
+        count = dr.gather(mi.Float, _same_memory(self.count), texel) + 1
         m = dr.lerp(g, m, self.beta1)
         v = dr.lerp(dr.square(g), v, self.beta2)
         correct1 = dr.rcp(1 - dr.exp2(count * math.log2(self.beta1)))
         correct2 = dr.rcp(1 - dr.exp2(count * math.log2(self.beta2)))
         rates = mi.ArrayXf(self._rates) * factor
-        x = x - rates * (m * correct1) * dr.rsqrt(dr.maximum(v * correct2, 1e-24))
-        x = self._project(x)
-        # Evaluated before they are written: Dr.Jit copies a buffer that is read and written in one kernel.
-        dr.eval(texel, seen, count, x, m, v)
+        x = self._project(x - rates * (m * correct1) * dr.rsqrt(dr.maximum(v * correct2, 1e-24)))
         for buffer, value in ((textures.data, x), (self.m, m), (self.v, v), (self.count, count)):
-            dr.scatter(buffer, value, texel, seen)
+            dr.scatter(buffer, value, texel)
         dr.eval(textures.data, self.m, self.v, self.count)
 
     def _project(self, x: mi.ArrayXf) -> mi.ArrayXf:
         """
-        Back into range: reflectances and weights in [0, 1], roughness above its limit, unit normals in the upper hemisphere.
+        Back into range: reflectances and weights in [0, 1], roughness above its limit, unit normals up.
         """
         unit = [dr.clip(x[k], 0, 1) for k in range(self.textures.n_channels)]
         unit[3] = dr.clip(x[3], self._min_roughness, 1)
@@ -88,6 +90,14 @@ class TexelAdam:
 
     def restore(self, state: dict) -> None:
         """Inverse of :meth:`state`."""
-        # Copied: an array made of NumPy memory borrows it, and steps are written in place.
-        self.m, self.v, self.count = (mi.Float(state[k]) + dr.opaque(mi.Float, 0) for k in ("m", "v", "count"))
-        dr.eval(self.m, self.v, self.count)
+        self.m, self.v, self.count = (upload(mi.Float, state[k]) for k in ("m", "v", "count"))
+
+
+def _same_memory(buffer: mi.Float) -> mi.Float:
+    """
+    A second array over the memory of a buffer, to be read in the kernel that writes the buffer.
+
+    Every entry is read before it is written, by one lane and no other; Dr.Jit, which cannot know, would copy the buffer
+    first. On a GPU this *is* a copy.
+    """
+    return mi.Float(buffer.numpy())

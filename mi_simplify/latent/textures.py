@@ -33,8 +33,8 @@ class Texels:
 @dataclass
 class Footprint:
     """
-    The texels that a lookup reads: flat indices in the order 00, 10, 01, 11 and the fractions towards the second column
-    and row, which carry the derivative by the UV.
+    The texels that a lookup reads: where they are stored, in the order 00, 10, 01, 11, and the fractions towards the
+    second column and row, which carry the derivative by the UV.
     """
 
     index: list[mi.UInt32]
@@ -42,8 +42,10 @@ class Footprint:
     fy: mi.Float
 
 
-#: Consecutive texels that gradients and optimiser steps are kept for together.
-BLOCK = 4
+#: Texels are stored in square tiles of this side: what one lookup reads lies close together, and so do its neighbours'.
+TILE = 8
+#: Texels that gradients and optimiser steps are kept for together: two rows of a tile.
+BLOCK = 16
 
 
 @dataclass
@@ -60,7 +62,7 @@ class TouchedBlocks:
         """
         One flag a block; a pending side effect of the caller's next kernel.
         """
-        flags = dr.zeros(mi.UInt32, textures.n_texels // BLOCK + 1)
+        flags = dr.zeros(mi.UInt32, textures.n_stored // BLOCK)
         for i in footprint.index:
             dr.scatter_reduce(dr.ReduceOp.Or, flags, mi.UInt32(1), i // BLOCK)  # plain scatters would be a kernel each
         return flags
@@ -80,7 +82,7 @@ class TouchedBlocks:
 @dataclass
 class TexelGradient:
     """
-    Gradient of the texels that a step touched, in blocks of :data:`BLOCK` consecutive ones.
+    Gradient of the texels that a step touched, in blocks of :data:`BLOCK` consecutive stored ones.
 
     Parameters
     ----------
@@ -114,14 +116,18 @@ class TexelGradient:
 
     def dense(self, textures: Textures) -> mi.Float:
         """
-        Gradient of all texels, width H·W·channels.
+        Gradient of all texels, row by row, width H·W·channels.
         """
-        out = dr.zeros(mi.Float, (textures.n_texels + BLOCK) * textures.n_channels)
-        span = BLOCK * textures.n_channels
+        n = textures.n_channels
+        out = dr.zeros(mi.Float, textures.n_stored * n)
+        span = BLOCK * n
         lane = dr.arange(mi.UInt32, dr.width(self.values))
         block = lane // span
         dr.scatter(out, self.values, dr.gather(mi.UInt32, self.blocks, block) * span + (lane - block * span))
-        return dr.gather(mi.Float, out, dr.arange(mi.UInt32, textures.n_texels * textures.n_channels))
+        texel = dr.arange(mi.UInt32, textures.n_texels)
+        row = texel // textures.width
+        place = textures.place(row, texel - row * textures.width)
+        return dr.ravel(dr.gather(mi.ArrayXf, out, place, shape=(n, textures.n_texels)))
 
 
 class Textures:
@@ -144,14 +150,26 @@ class Textures:
         planes = [base_color[..., :3], specular[..., 1:3], normal]
         if extended:
             planes += [base_color[..., 3:4], specular[..., :1], np.zeros((self.height, self.width, 2))]
-        packed = np.concatenate(planes, axis=2).astype(np.float32).ravel()
-        # Whole blocks, so that one past the last texel can be read and written.
-        self.data = upload(mi.Float, np.append(packed, np.zeros(BLOCK * self.n_channels)))
+        packed = np.zeros((self.n_stored, self.n_channels), np.float32)
+        packed[self.place(*np.indices((self.height, self.width)))] = np.concatenate(planes, axis=2)
+        self.data = upload(mi.Float, packed.ravel())
 
     @property
     def n_texels(self) -> int:
         """Texels in all."""
         return self.width * self.height
+
+    @property
+    def n_stored(self) -> int:
+        """Texels in memory: those of whole tiles."""
+        return -(-self.width // TILE) * -(-self.height // TILE) * TILE**2
+
+    def place(self, row, column):
+        """
+        Where a texel is stored, counted in texels; for NumPy and Dr.Jit integers.
+        """
+        tile = (row // TILE) * -(-self.width // TILE) + column // TILE
+        return (tile * TILE + row % TILE) * TILE + column % TILE
 
     @property
     def extended(self) -> bool:
@@ -162,7 +180,7 @@ class Textures:
         """
         ``base_color`` (H, W, 4), ``specular`` (H, W, 3) and unit ``normal`` (H, W, 3) in NumPy.
         """
-        data = self.data.numpy()[: self.n_texels * self.n_channels].reshape(self.height, self.width, self.n_channels)
+        data = self.data.numpy().reshape(-1, self.n_channels)[self.place(*np.indices((self.height, self.width)))]
         one, zero = np.ones_like(data[..., :1]), np.zeros_like(data[..., :1])
         opacity, gamma = (data[..., 8:9], data[..., 9:10]) if self.extended else (one, zero)
         normal = data[..., 5:8]
@@ -182,7 +200,7 @@ class Textures:
         ix, iy = self._wrap(mi.Int32(x0), self.width), self._wrap(mi.Int32(y0), self.height)
         jx = dr.select(ix + 1 < self.width, ix + 1, 0)
         jy = dr.select(iy + 1 < self.height, iy + 1, 0)
-        index = [mi.UInt32(r * self.width + c) for r in (iy, jy) for c in (ix, jx)]
+        index = [self.place(mi.UInt32(r), mi.UInt32(c)) for r in (iy, jy) for c in (ix, jx)]
         return Footprint(index, x - x0, y - y0)
 
     @staticmethod
@@ -193,7 +211,8 @@ class Textures:
 
     def lookup(self, footprint: Footprint) -> mi.ArrayXf:
         """
-        Bilinear texel values, shape (channels, N); differentiable by the UV, never by the texels (see :class:`TexelGradient`).
+        Bilinear texel values, shape (channels, N); differentiable by the UV, never by the texels, for which there is
+        :class:`TexelGradient`.
         """
         data = dr.detach(self.data)
         shape = (self.n_channels, dr.width(footprint.index[0]))
