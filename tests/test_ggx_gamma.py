@@ -1,5 +1,7 @@
 """The ggx_gamma BSDF: its formula, its sampling, its laws, its normals, its transparency, its derivatives."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -224,16 +226,18 @@ class LobeDomain:
         return dr.sin(theta) * (theta + self.width) * self.k
 
 
-#: roughness, metallic, viewer; the last ones are clamped (n·wi < ε), see the back, or a tilted shading normal
+#: Roughness, metallic, viewer, shading normal, opacity. The last ones are clamped (n·wi < ε), see the back, a tilted
+#: shading normal, or a surface that lets a part through, which the density leaves out.
 CHI_SQUARE = [
-    (roughness, metallic, wi, (0, 0, 1))
+    (roughness, metallic, wi, (0, 0, 1), None)
     for roughness in (0.03, 0.1, 0.3, 0.6, 1.0)
     for metallic in (0.0, 1.0)
     for wi in ((0, 0, 1), (0.6, 0.2, 0.77), (-0.95, 0.2, 0.2))
 ] + [
-    (0.3, 0.5, (0.999, 0, 0.02), (0, 0, 1)),
-    (0.3, 0.5, (0.5, -0.2, -0.8), (0, 0, 1)),
-    (0.5, 0.5, (0.8, 0, 0.3), (-0.8, 0.1, 0.6)),
+    (0.3, 0.5, (0.999, 0, 0.02), (0, 0, 1), None),
+    (0.3, 0.5, (0.5, -0.2, -0.8), (0, 0, 1), None),
+    (0.5, 0.5, (0.8, 0, 0.3), (-0.8, 0.1, 0.6), None),
+    (0.4, 0.5, (0.6, 0.2, 0.77), (0, 0, 1), 0.6),
 ]
 
 
@@ -245,16 +249,17 @@ def lobe_axis(wi, n):
     return unit(2 * n * (n @ wi) - wi)
 
 
-@pytest.mark.parametrize(("roughness", "metallic", "wi", "n"), CHI_SQUARE)
-def test_sampling_follows_its_density(roughness, metallic, wi, n):
-    wi = unit(wi)
-    b = bsdf(base_color=[0.8, 0.4, 0.2], gamma=0.3, roughness=roughness, metallic=metallic)
+@pytest.mark.parametrize(("roughness", "metallic", "wi", "n", "opacity"), CHI_SQUARE)
+def test_sampling_follows_its_density(roughness, metallic, wi, n, opacity):
+    wi, more = unit(wi), {} if opacity is None else {"opacity": opacity}
+    b = bsdf(base_color=[0.8, 0.4, 0.2], gamma=0.3, roughness=roughness, metallic=metallic, **more)
     domain = LobeDomain(lobe_axis(wi, n), roughness**2)
 
     def sample(u):
         si = local(np.broadcast_to(wi, (dr.width(u), 3)), n_shading=n)
         bs, weight = b.sample(mi.BSDFContext(), si, u.x, mi.Point2f(u.y, u.z))
-        return si.to_world(bs.wo), dr.select(dr.any(weight > 0), mi.Float(1), 0)
+        reflected = dr.any(weight > 0) & (bs.sampled_type != mi.UInt32(+mi.BSDFFlags.Null))
+        return si.to_world(bs.wo), dr.select(reflected, mi.Float(1), 0)
 
     def density(wo):
         si = local(np.broadcast_to(wi, (dr.width(wo), 3)), n_shading=n)
@@ -283,6 +288,7 @@ def test_eval_pdf_and_sample_agree(form):
     )
     null = numpy(bs.sampled_type) == int(mi.BSDFFlags.Null)
     lobe = ~null & (numpy(bs.pdf) > 0)
+    assert dr.all(bs.eta == 1)
     assert 0.2 < null.mean() < 0.6 and lobe.mean() > 0.3
     value, pdf, weight = numpy(value), numpy(pdf), numpy(weight)
     assert np.allclose(numpy(bs.pdf)[lobe], pdf[lobe], rtol=1e-5)
@@ -444,9 +450,11 @@ def test_mesh_tangents_are_interpolated_from_the_attribute():
     assert np.allclose(numpy(si.to_world(material.shading_frame(si).n))[0], expected, atol=1e-4)
 
 
-def test_both_sides_of_the_fit_shade_the_same_normal():
+@pytest.mark.parametrize("creased", [False, True])
+def test_both_sides_of_the_fit_shade_the_same_normal(creased):
     """The BSDF on a Mitsuba mesh against the latent renderer's own lookup, on charts that lie in every way."""
     mesh, m = charted_sphere(4, noise=0.03), unit([0.3, 0.4, 0.8])
+    mesh = replace(mesh, normal_index=np.arange(len(mesh.uvs))) if creased else mesh
     textures = np.full((1, 1, 4), 0.5, np.float32), np.full((1, 1, 3), 0.5, np.float32), np.float32(m)[None, None]
     model = Model(mesh, *(np.tile(x, (2, 2, 1)) for x in textures))
 

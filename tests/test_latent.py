@@ -1,0 +1,67 @@
+"""The latent model between NumPy and the device: what goes in comes out, in the right frame."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from tiny_meshes import charted_sphere
+
+from mi_simplify.latent.latent import Latent
+from mi_simplify.latent.model import Model
+
+
+def model(seed=0, size=8, **kwargs):
+    rng = np.random.default_rng(seed)
+    normal = rng.normal(size=(size, size, 3)) * 0.2 + [0, 0, 1]
+    normal = (normal / np.linalg.norm(normal, axis=2, keepdims=True)).astype(np.float32)
+    base, specular = (rng.random((size, size, c)).astype(np.float32) for c in (4, 3))
+    return Model(charted_sphere(2, noise=0.05), base, specular, normal, **kwargs)
+
+
+@pytest.mark.parametrize("extended", [False, True])
+def test_what_goes_in_comes_out(extended):
+    first = model(alpha_mode="MASK", alpha_cutoff=0.3, name="ball")
+    latent = Latent(first, extended)
+    again = latent.model(first.mesh.positions)
+    assert np.array_equal(again.mesh.vertices[again.mesh.faces], first.mesh.vertices[first.mesh.faces])
+    assert np.array_equal(again.mesh.uvs[again.mesh.faces], first.mesh.uvs[first.mesh.faces])
+    assert np.array_equal(again.mesh.position_faces, first.mesh.position_faces)
+    keep = slice(0, 4) if extended else slice(0, 3)
+    assert np.array_equal(again.base_color[..., keep], first.base_color[..., keep])
+    assert np.array_equal(again.specular[..., 1:], first.specular[..., 1:])
+    assert np.all(again.base_color[..., 3] == 1) != extended and np.all(again.specular[..., 0] == 0) != extended
+    assert np.allclose(again.normal, first.normal, atol=1e-6)
+    assert (again.alpha_mode, again.alpha_cutoff, again.name) == ("MASK", 0.3, "ball")
+
+
+def test_moved_positions_come_out():
+    first = model()
+    latent, moved = Latent(first), first.mesh.positions * 1.5 + [0, 1, 0]
+    again = latent.model(moved.ravel())  # flat, as the optimiser has them
+    assert np.array_equal(again.mesh.positions, moved) and again.n_triangles == 48
+    surface = latent.evaluate(mi.Float(moved.astype(np.float32).ravel()))
+    p = surface.packets.numpy().reshape(-1, 3, 4)[:, 0, :3]
+    assert np.allclose(p, again.mesh.vertices, atol=1e-6)
+
+
+def test_transformed_goes_there_and_back():
+    first, offset = model(), np.array([1.0, -2, 3])
+    there = first.transformed(2.5, offset)
+    assert np.allclose(there.mesh.positions, first.mesh.positions * 2.5 + offset)
+    back = there.transformed(1 / 2.5, -offset / 2.5)
+    assert np.allclose(back.mesh.positions, first.mesh.positions)
+    assert back.normal is first.normal and np.array_equal(back.mesh.uvs, first.mesh.uvs)
+
+
+def test_as_asset_is_the_same_mesh_with_its_normals_and_material():
+    first = model(alpha_mode="BLEND", name="ball")
+    asset = first.as_asset()
+    part = asset.parts[0]
+    assert asset.n_triangles == first.n_triangles == 48 and asset.name == "ball"
+    assert np.array_equal(part.vertices, first.mesh.vertices) and np.array_equal(part.faces, first.mesh.faces)
+    assert np.allclose(np.linalg.norm(part.normals, axis=1), 1, atol=1e-6)
+    assert np.sum(part.normals * part.vertices, axis=1).min() > 0.8  # outwards
+    # One normal a position, whatever the seams.
+    for k in range(len(first.mesh.positions)):
+        assert np.ptp(part.normals[first.mesh.position_index == k], axis=0).max() == 0
+    assert part.material.base_color is first.base_color and part.material.normal is first.normal
+    assert part.material.specular is first.specular and part.material.alpha_mode == "BLEND"
