@@ -85,8 +85,8 @@ class TexelAdam:
         return mi.ArrayXf(unit)
 
     def state(self) -> dict:
-        """Arrays that a checkpoint keeps."""
-        return {"m": self.m.numpy(), "v": self.v.numpy(), "count": self.count.numpy()}
+        """Arrays that a checkpoint keeps; copies, since steps are written in place."""
+        return {"m": self.m.numpy().copy(), "v": self.v.numpy().copy(), "count": self.count.numpy().copy()}
 
     def restore(self, state: dict) -> None:
         """Inverse of :meth:`state`."""
