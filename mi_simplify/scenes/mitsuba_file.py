@@ -108,10 +108,10 @@ class SceneFile:
             props.mark_queried(name, False)
         for name, child in node.children:
             props[name] = self.make(child, fresh=fresh)
-        with self._told(f"{node.where}: {node.plugin}: "), _resolving(self.path.parent):
+        with self._told(f"{node}: "), _resolving(self.path.parent):
             made = mi.PluginManager.instance().create_object(props)
             if unknown := props.unqueried():
-                raise AssetError(f"{node.where}: '{node.plugin}' has no parameter '{unknown[0]}'")
+                raise ValueError(f"there is no parameter '{unknown[0]}'")
             made = (made.expand() or [made])[0]  # some plugins choose their implementation once they know their data
         if not fresh:
             self._objects[node.index] = made
@@ -138,11 +138,9 @@ class SceneFile:
 
     @contextlib.contextmanager
     def _told(self, what: str = "") -> Iterator[None]:
-        """Mitsuba's exceptions, all of them RuntimeError and some of several lines, as one line."""
+        """Mitsuba's exceptions, most of them RuntimeError and some of several lines, as one line."""
         try:
             yield
-        except AssetError:
-            raise
         except Exception as error:
             text = re.sub(r"\[\w+\.\w+:\d+\] ", "", " ".join(str(error).split()))
             text = text.replace(f"{self.path.parent}/", "").removeprefix("Error while loading ")

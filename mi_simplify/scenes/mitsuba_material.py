@@ -33,7 +33,9 @@ class Look:
     opacity : Field or None
         None for opaque.
     normal : Field or None
-        Vectors in tangent space, +Y up the image.
+        Vectors in tangent space; of the first UV direction and, as bitangent, the cross product of normal and tangent.
+    normal_follows_charts : bool
+        Whether the bitangent points up the image in mirrored charts too, as MikkTSpace has it.
     cutoff : float
         Opacity threshold, 0 for none.
     at_vertices : bool
@@ -48,6 +50,7 @@ class Look:
     metallic: Field = Field.constant(0.0)  # noqa: RUF009
     opacity: Field | None = None
     normal: Field | None = None
+    normal_follows_charts: bool = False
     cutoff: float = 0.0
     at_vertices: bool = False
     has_surface: bool = True
@@ -246,6 +249,7 @@ def _ggx_gamma(node: Node, materials: Materials) -> Look:
         metallic=materials.scalar(node, "metallic", 0.0),
         opacity=materials.scalar(node, "opacity", 1.0),
         normal=None if normal is None else _normals(normal, materials),
+        normal_follows_charts=True,
         cutoff=float(node.values.get("opacity_cutoff", 0.0)),
     )
 
@@ -293,6 +297,7 @@ def _blend(node: Node, materials: Materials) -> Look:
         metallic=mixed(first.metallic, second.metallic),
         opacity=mixed(first.opacity or one, second.opacity or one) if see_through else None,
         normal=first.normal,
+        normal_follows_charts=first.normal_follows_charts,
         at_vertices=first.at_vertices and second.at_vertices,
     )
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from ..errors import AssetError
 from ..upload import upload
-from .asset import Asset, Instance, Part
+from .asset import Asset, Instance, Material, Part
+from .mapping import Mapping
 from .mitsuba_file import Node, SceneFile
-from .mitsuba_material import Materials, vertex_colors
+from .mitsuba_material import Look, Materials, vertex_colors
 from .resources import Resources
 from .shapes import mesh_faces, mesh_normals, mesh_positions, mesh_uvs
 from .tessellate import SHAPES, Patch
@@ -143,6 +144,7 @@ class _Shapes:
         self.without_triangles: list[str] = []
         self.n_emitting = 0
         self._index: dict[int, int | None] = {}
+        self._turned: dict[tuple, Material] = {}
 
     def place(self, node: Node, to_world: np.ndarray, name: str) -> None:
         """An instance of a shape, if it is one that can be seen."""
@@ -165,26 +167,49 @@ class _Shapes:
             self.resources.note(f"{node} has no surface ('null'); only the reference shows it")
             return None
         name = node.id or node.plugin
+        flip = bool(node.values.get("flip_normals", False))
         if node.plugin in SHAPES:
-            patch = SHAPES[node.plugin]().placed(_matrix(mi.traverse(shape)["to_world"]))
-            points = None
+            to_world = _matrix(mi.traverse(shape)["to_world"])
+            # Mitsuba turns a mirrored sphere inside out, and a disk's transform holds the flip already.
+            flip = {"sphere": flip != (np.linalg.det(to_world) < 0), "disk": False}.get(node.plugin, flip)
+            patch = SHAPES[node.plugin]().placed(to_world, flip)
+            points = _points(patch)
         elif shape.is_mesh():
             patch, points = _mesh_patch(shape)
+            patch = patch.placed(np.eye(4), flip)
         else:
             self.without_triangles.append(str(node))
             self.resources.note(f"{node} has no triangles; its bounding box stands in for it")
             return _box(shape.bbox(), name)
         colors = None
         if look.at_vertices:
-            si = _interaction(patch) if points is None else points
-            colors = vertex_colors(shape.bsdf(), si)
+            colors = vertex_colors(shape.bsdf(), points)
             if colors is None:
                 self.resources.note(f"{node} starts grey, its BSDF knows no diffuse reflectance")
                 colors = np.full((len(patch.vertices), 4), [0.5, 0.5, 0.5, 1.0], np.float32)
-        if node.values.get("flip_normals", False):
-            patch = patch.placed(np.eye(4), flip_normals=True)
+        if material.normal is not None and patch.uvs is not None:
+            material = self._with_turned_normals(material, look, mapping, patch)
         uvs = None if patch.uvs is None else mapping.apply(patch.uvs, name, self.resources).astype(np.float32)
         return Part(patch.vertices, patch.faces, patch.normals.astype(np.float32), uvs, colors, material, name)
+
+    def _with_turned_normals(self, material: Material, look: Look, mapping: Mapping, patch: Patch) -> Material:
+        """The material with its normal map in the tangent frames of MikkTSpace instead of Mitsuba's."""
+        linear = np.eye(2) if mapping.transform is None else mapping.transform[:, :2]
+        if linear[0, 1] or linear[1, 0]:
+            self.resources.note(
+                f"the normal map of '{material.name}' is turned by its UV transform; it starts unturned"
+            )
+        corner = patch.uvs[patch.faces]
+        (a, b), (c, d) = ((corner[:, k] - corner[:, 0]).T for k in (1, 2))
+        area = a * d - b * c  # positive where mirrored: v runs down the image
+        mirrored = np.sum(area) > 0 and not look.normal_follows_charts
+        if not look.normal_follows_charts and min((area > 0).mean(), (area < 0).mean()) > 0.01:
+            self.resources.note(f"mirrored charts of '{material.name}' start with their normal map upside down")
+        signs = (1.0 if linear[0, 0] > 0 else -1.0, 1.0 if (linear[1, 1] > 0) != mirrored else -1.0, 1.0)
+        key = id(material), signs
+        if key not in self._turned:
+            self._turned[key] = replace(material, normal=material.normal * np.float32(signs))
+        return self._turned[key]
 
 
 def _matrix(transform) -> np.ndarray:
@@ -195,28 +220,36 @@ def _matrix(transform) -> np.ndarray:
 def _mesh_patch(mesh: mi.Mesh) -> tuple[Patch, mi.SurfaceInteraction3f]:
     """
     Triangles of a mesh, apart where it is shaded flat, and Mitsuba's interaction at each vertex.
+
+    Mitsuba shades by the normals alone; a mirrored mesh is wound against them and is rewound here.
     """
     vertices = mesh_positions(mesh).numpy().reshape(-1, 3).astype(np.float64)
     faces, normals, uvs = mesh_faces(mesh), mesh_normals(mesh), mesh_uvs(mesh)
     first = np.zeros(len(vertices), np.int64)  # some corner at each vertex, as 3 face + corner
     first[faces.ravel()] = np.arange(faces.size)
+    p = vertices[faces]
+    area = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    if normals is not None and np.einsum("fi,fi->", area, normals[faces].sum(1)) < 0:
+        rewound = faces[:, ::-1]
+    else:
+        rewound = faces
     if normals is None:
         first = np.arange(faces.size)
-        p = vertices[faces]
-        normals = np.repeat(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), 3, axis=0)
+        normals = np.repeat(area, 3, axis=0)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         vertices, uvs = p.reshape(-1, 3), None if uvs is None else uvs[faces.ravel()]
-        faces = first.reshape(-1, 3)
+        rewound = first.reshape(-1, 3)
     pi = dr.zeros(mi.PreliminaryIntersection3f, len(vertices))
+    pi.valid, pi.t = dr.full(mi.Bool, True, len(vertices)), dr.full(mi.Float, 1, len(vertices))
     pi.prim_index = upload(mi.UInt32, first // 3)
     pi.prim_uv = upload(mi.Point2f, np.stack([first % 3 == 1, first % 3 == 2], 1))
     pi.shape = mi.ShapePtr(mesh)
     ray = dr.zeros(mi.Ray3f, len(vertices))
     ray.d = mi.Vector3f(0, 0, 1)
-    return Patch(vertices, faces, normals, uvs), pi.compute_surface_interaction(ray)
+    return Patch(vertices, rewound, normals, uvs), pi.compute_surface_interaction(ray)
 
 
-def _interaction(patch: Patch) -> mi.SurfaceInteraction3f:
+def _points(patch: Patch) -> mi.SurfaceInteraction3f:
     """Vertices of a tessellated shape, as textures see them."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(patch.vertices))
     si.p, si.uv, si.n = (

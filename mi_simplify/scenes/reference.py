@@ -151,7 +151,9 @@ class CallableReference:
         images = np.asarray(self.function(views), np.float32)
         expected = (len(views), views.height, views.width, 4)
         if images.shape != expected:
-            raise UserError(f"the reference function returned shape {images.shape}, expected {expected}: (B, H, W, RGBA)")
+            raise UserError(
+                f"the reference function returned shape {images.shape}, expected {expected}: (B, H, W, RGBA)"
+            )
         if not np.isfinite(images).all():
             raise UserError("the reference function returned NaN or infinite radiance")
         return images
@@ -246,12 +248,15 @@ def scene_reference(
 
 
 def _see_through(file: SceneFile, shapes: list[Node]) -> bool:
-    """Whether rays pass straight through anything: masks, and the borders of media."""
+    """
+    Whether rays pass straight through anything: masks, the borders of media, and lamps, of which `path` with
+    ``hide_emitters`` shows the black silhouettes.
+    """
     for shape in shapes:
         members = shape.of_kind("Shape")  # of a group; of an instance: the group
         if members and _see_through(file, members):
             return True
-        if shape.of_kind("Medium"):
+        if shape.of_kind("Medium") or is_emitting(shape):
             return True
         bsdf = None if members else file.make(shape).bsdf()
         if bsdf is not None and mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null):
