@@ -14,6 +14,9 @@ from .scene_edges import SceneEdges, lights_move, sensor_cameras
 
 log = logging.getLogger("mi_simplify")
 
+#: A ray meets an edge where its hit is closer to it than this fraction of its distance.
+_NEAR = 1e-3
+
 
 class DirectEdge(mi.ad.integrators.common.ADIntegrator):
     r"""
@@ -62,19 +65,25 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         self._edges: SceneEdges | None = None
         self._warned = False
 
-    def sample(self, mode, scene, sampler, ray, active=True, **_):
+    def sample(self, mode, scene, sampler, ray, active=True, near=None, **_):
         """
         Radiance along camera rays, whether anything was hit, and (as the only AOV) coverage.
+
+        With points ``near``, one a ray, the last result says whether any layer was hit close to them.
         """
         ctx = mi.BSDFContext()
         radiance, through = mi.Spectrum(0), mi.Spectrum(1)
-        valid, alive = mi.Bool(False), mi.Bool(active)
+        valid, alive, is_near = mi.Bool(False), mi.Bool(active), mi.Bool(False)
+        if near is not None:
+            reach2 = dr.squared_norm(near - ray.o) * _NEAR**2
         for layer in range(self.layers):
             si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=layer == 0, active=alive)
             if not self.hide_emitters:
                 radiance += dr.select(alive, through * si.emitter(scene).eval(si, alive), 0)
             alive &= si.is_valid()
             valid |= alive
+            if near is not None:
+                is_near |= alive & (dr.squared_norm(si.p - near) < reach2)
             bsdf = si.bsdf(ray)
             lit = alive & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(lit), self.shadows, lit)
@@ -90,7 +99,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             else:
                 through = dr.select(alive, 0, through)
         coverage = 1 - dr.mean(through)
-        return radiance, valid, [coverage], None
+        return radiance, valid, [coverage], is_near
 
     def _splat(self, film, sensor, scene, seed, spp, mode):
         """
@@ -147,17 +156,20 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             opaque_seed = dr.opaque(mi.UInt32, seed) + 0x9E3779B9
             e = self._edges.edges.sample(positions, cameras, n, opaque_seed)
             flat = dr.detach(cameras)
-            sides = []
+            p = self._edges.point(positions, e)
+            sides, visible = [], mi.Bool(False)
             for s in (-e.step, e.step):
                 sampler = mi.load_dict({"type": "independent"})
                 sampler.seed(opaque_seed, n)  # the same light samples on both sides
                 origin, direction = flat.ray(e.view, e.x + s * e.nx, e.y + s * e.ny)
                 ray = mi.RayDifferential3f(origin, direction)
-                radiance, _, (coverage,), _ = self.sample(dr.ADMode.Primal, scene, sampler, ray)
+                radiance, _, (coverage,), is_near = self.sample(dr.ADMode.Primal, scene, sampler, ray, near=p)
                 sides.append([*radiance, coverage])
-        p = dr.lerp(dr.gather(mi.Point3f, positions, e.end0), dr.gather(mi.Point3f, positions, e.end1), e.s)
-        x = cameras.project(e.view, p)
-        motion = (x.x * e.nx + x.y * e.ny) * e.weight * spp
+                visible |= is_near
+            # What is hidden has no jump, unless an edge in front of it falls onto the same line.
+            weight = dr.select(visible, e.weight * spp, 0)
+        x = cameras.project(e.view, self._edges.point(positions, e))
+        motion = (x.x * e.nx + x.y * e.ny) * weight
         jump = [dr.replace_grad(mi.Float(0), (low - high) * motion) for low, high in zip(*sides, strict=True)]
         pos = mi.Vector2f(e.x, e.y)
         if film.rfilter().is_box_filter():

@@ -14,7 +14,7 @@ from ..scenes.shapes import POSITIONS, mesh_faces, mesh_positions
 from ..scenes.views import Views
 from ..upload import upload
 from .camera import Cameras
-from .edges import EdgeSet, edge_table
+from .edges import EdgeSamples, EdgeSet, edge_table
 
 
 def sensor_cameras(sensor: mi.Sensor) -> Cameras:
@@ -92,6 +92,14 @@ class SceneEdges:
     def is_of(self, scene: mi.Scene) -> bool:
         """Whether the topology is that of this scene."""
         return self._scene is scene and self._key == [id(s) for s in scene.shapes()]
+
+    @staticmethod
+    def point(positions: mi.Float, samples: EdgeSamples) -> mi.Point3f:
+        """
+        Where edge samples lie in the world, attached where the positions are.
+        """
+        ends = [dr.gather(mi.Point3f, positions, i) for i in (samples.end0, samples.end1)]
+        return dr.lerp(*ends, samples.s)
 
     def _refuse_moving_groups(self) -> None:
         """
