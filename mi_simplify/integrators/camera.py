@@ -81,9 +81,10 @@ class Cameras:
         y = dr.dot(local, self.fetch(view, 2).xyz) * iz * (self.width / self.height)
         return mi.Point3f(dr.fma(x, 0.5, 0.5) * self.width, dr.fma(y, -0.5, 0.5) * self.height, z)
 
-    def view_of(self, pixel: mi.UInt32) -> mi.UInt32:
-        """View that a pixel of the batch belongs to."""
-        return pixel // (self.width * self.height)
+    def pixel(self, view: mi.UInt32, x: mi.Float, y: mi.Float) -> mi.UInt32:
+        """Pixel of the batch at a film position, the nearest one where that is off the film."""
+        column, row = (mi.UInt32(dr.clip(c, 0, n - 1)) for c, n in ((x, self.width), (y, self.height)))
+        return (view * self.height + row) * self.width + column
 
 
 def film_samples(

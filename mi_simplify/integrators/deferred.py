@@ -70,7 +70,7 @@ class DeferredRenderer:
     """
 
     def __init__(
-        self, topology: MeshTopology, *, form: str = "gltf", edge_fraction: float = 0.25, shadows: bool = False
+        self, topology: MeshTopology, *, form: str = "gltf", edge_fraction: float = 0.15, shadows: bool = False
     ):
         mesh = topology.mesh
         self.topology, self.form, self.edge_fraction, self.shadows = topology, form, edge_fraction, shadows
@@ -201,12 +201,10 @@ class DeferredRenderer:
         cameras = frame.cameras
         n = max(64, int(cameras.n_pixels * frame.spp * self.edge_fraction))
         with dr.suspend_grad():
-            e = self.edges.sample(positions, cameras, n, seed)
+            e = self.edges.sample(positions, cameras, n, seed, dr.ravel(frame.image))
             dr.eval(e)
             jump = self._jump(e, dr.detach(frame.packets), textures, cameras, n)
-            px, py = (mi.UInt32(dr.clip(c, 0, size - 1)) for c, size in ((e.x, cameras.width), (e.y, cameras.height)))
-            pixel = (e.view * cameras.height + py) * cameras.width + px
-            speed = dr.dot(jump, dr.gather(mi.Vector4f, grad_flat, pixel)) * e.weight
+            speed = dr.dot(jump, dr.gather(mi.Vector4f, grad_flat, cameras.pixel(e.view, e.x, e.y))) * e.weight
         # The edge moves along its normal by n·dx: what lies on its low side gains that much area.
         p = dr.lerp(dr.gather(mi.Point3f, positions, e.end0), dr.gather(mi.Point3f, positions, e.end1), e.s)
         film = cameras.project(e.view, p)
@@ -230,10 +228,11 @@ class DeferredRenderer:
 
         _, (origin, direction) = ray(dr.arange(mi.UInt32, 2 * n))
         face = trace(self.tracer.scene, origin, direction)[0]
-        is_hit = face != MISS
-        dr.eval(face, is_hit)
+        dr.eval(face)
+        # Where both rays meet the same triangle the edge is hidden, and nothing jumps.
+        other = dr.gather(mi.UInt32, face, dr.arange(mi.UInt32, 2 * n) ^ 1)
         sides = dr.zeros(mi.Float, 8 * n)
-        hits = dr.compress(is_hit)
+        hits = dr.compress((face != MISS) & (face != other))
         if dr.width(hits) > 0:
             view, rays = ray(hits)
             value, _ = self._shade(packets, textures, cameras, view, dr.gather(mi.UInt32, face, hits), rays)
