@@ -17,7 +17,7 @@ from .errors import AssetError, MeshError
 from .export import export_model
 from .export.files import write_atomic
 from .fitting import Fit, FitResult, fit
-from .initial import first_guess
+from .initial import first_guess, quadrics_only
 from .interrupt import DeferredInterrupt
 from .latent.model import Model
 from .output import RunFolder
@@ -211,10 +211,14 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             files = export_model(model, stage, formats=config.export.formats, extras=_facts(config))
         clock.lap("export")
         written = folder.path / next(iter(files.values())).name
+        candidates = {"first guess": guess.as_asset(), "result": load_asset(written)}
         judged = config.evaluation
+        if judged.baseline:
+            baseline, _ = quadrics_only(target, guess.n_triangles, atlas_size=config.initial.atlas_size)
+            candidates = {"quadrics": frame.restored(baseline).as_asset(), **candidates}
         comparison = compare_assets(
-            asset, {"first guess": guess.as_asset(), "result": load_asset(written)}, n_views=judged.views,
-            resolution=judged.resolution, spp=judged.spp, seed=config.seed, progress=progress,
+            asset, candidates, n_views=judged.views, resolution=judged.resolution, spp=judged.spp,
+            seed=config.seed, progress=progress,
         )  # fmt: skip
         clock.lap("evaluate")
         run = {**_facts(config), "variant": config.variant, "notes": notes, "seconds": clock.seconds}

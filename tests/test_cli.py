@@ -350,6 +350,7 @@ def toy(tmp_path_factory) -> Path:
     sphere = bumpy_sphere(folder)
     arguments = ["-n", "300", "--quiet", "--set", "optimizer.steps=60", "--set", "initial.textures=constant"]
     arguments += ["--set", "optimizer.decay=0.3", "--set", "optimizer.rates.base_color=0.03"]
+    arguments += ["--set", "evaluation.baseline=true"]
     assert cli.main(["simplify", str(sphere), "-o", str(folder / "out"), *arguments, *TOY]) == 0
     return folder
 
@@ -361,6 +362,8 @@ def test_a_toy_job_comes_much_closer_and_writes_everything(toy):
     guess, result = figures["candidates"]["first guess"], figures["candidates"]["result"]
     assert result["triangles"] <= 300
     assert result["psnr"] > guess["psnr"] + 3
+    assert list(figures["candidates"]) == ["quadrics", "first guess", "result"]
+    assert figures["candidates"]["quadrics"]["triangles"] <= 300
     assert figures["run"]["transport"] == "direct"
     log = [json.loads(line) for line in (toy / "out" / "log.jsonl").read_text().splitlines()]
     assert log[-1]["step"] == 60
