@@ -24,8 +24,9 @@ def tonemap_log(x):
     """
     ``Γ(log(x + 1))``: robust to the full range of radiance (Hasselgren et al. 2021, Sect. 5.3).
     """
-    # Not maximum(x, 0), which has no slope at 0: a black pixel that should be bright has to say so.
-    return srgb(dr.log(dr.select(x >= 0, x, 0) + 1))
+    # No slope at exactly 0: unlit pixels would shout with a slope of 12.9 where nothing can be done about them, and drown
+    # the outlines (silhouette error of a skull after 100 steps: .0033 without, .0037 with; it started at .0038).
+    return srgb(dr.log(dr.maximum(x, 0) + 1))
 
 
 def log_l1(image, reference):
