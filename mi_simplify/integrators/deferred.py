@@ -18,7 +18,7 @@ from ..latent.textures import Footprint, TexelGradient, Textures, TouchedBlocks
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
 from .camera import Cameras, film_samples
-from .edges import EdgeSet, edge_table
+from .edges import EdgeSamples, EdgeSet, edge_table
 from .gbuffer import MISS, fragment, occluded, trace
 from .shading import shade
 
@@ -194,9 +194,61 @@ class DeferredRenderer:
             dr.traverse(dr.ADMode.Backward)
         return texel_grad
 
+    def forward(
+        self,
+        frame: Frame,
+        surface: Surface,
+        textures: Textures,
+        positions: mi.Float,
+        seed: mi.UInt32,
+        texel_tangent: Textures | None = None,
+    ) -> mi.Vector4f:
+        """
+        Derivative of the image along the tangents (``dr.set_grad``) of positions and views, which are consumed.
+
+        Parameters
+        ----------
+        texel_tangent : Textures, optional
+            Rates of change in the layout of ``textures``.
+
+        Returns
+        -------
+        mi.Vector4f, width B·height·width
+        """
+        tangent = dr.grad(positions)
+        for source, leaf in ((surface.packets, frame.packets), (frame.views, frame.cameras.packets)):
+            if dr.grad_enabled(source):
+                dr.set_grad(leaf, dr.forward_to(source))
+        rates = dr.grad(frame.cameras.packets) if dr.grad_enabled(frame.views) else None
+        image = dr.zeros(mi.Float, frame.cameras.n_pixels * 4)
+        if frame.samples is not None:
+            if texel_tangent is not None:
+                dr.set_grad(frame.lookup.offset, dr.detach(texel_tangent.lookup(frame.lookup.footprint)))
+            value = dr.forward_to(frame.samples) * (1 / frame.spp)
+            dr.scatter_reduce(dr.ReduceOp.Add, image, value, frame.pixel)
+        if self.edge_fraction > 0 and (rates is not None or dr.grad_enabled(positions)):
+            e, jump, pixel = self._edge_jumps(frame, textures, positions, seed)
+            if dr.grad_enabled(positions):
+                dr.set_grad(positions, tangent)
+            if rates is not None:
+                dr.set_grad(frame.cameras.packets, rates)
+            speed = dr.forward_to(self._motion(frame.cameras, positions, e))
+            dr.scatter_reduce(dr.ReduceOp.Add, image, jump * speed, pixel)
+        return dr.gather(mi.Vector4f, image, dr.arange(mi.UInt32, frame.cameras.n_pixels))
+
     def _boundary(self, frame: Frame, grad_flat: mi.Float, textures: Textures, positions: mi.Float, seed: mi.UInt32) -> None:
         """
         Add the gradient that moving edges have on the image, to ``positions`` and cameras.
+        """
+        e, jump, pixel = self._edge_jumps(frame, textures, positions, seed)
+        motion = self._motion(frame.cameras, positions, e)
+        dr.set_grad(motion, dr.dot(jump, dr.gather(mi.Vector4f, grad_flat, pixel)))
+        dr.enqueue(dr.ADMode.Backward, motion)
+        dr.traverse(dr.ADMode.Backward)
+
+    def _edge_jumps(self, frame: Frame, textures: Textures, positions: mi.Float, seed: mi.UInt32):
+        """
+        Edge samples, what a pixel there gains where the edge moves by one pixel along its normal, and which pixel that is.
         """
         cameras = frame.cameras
         n = max(64, int(cameras.n_pixels * frame.spp * self.edge_fraction))
@@ -204,14 +256,18 @@ class DeferredRenderer:
             e = self.edges.sample(positions, cameras, n, seed, dr.ravel(frame.image))
             dr.eval(e)
             jump = self._jump(e, dr.detach(frame.packets), textures, cameras, n)
-            speed = dr.dot(jump, dr.gather(mi.Vector4f, grad_flat, cameras.pixel(e.view, e.x, e.y))) * e.weight
-        # The edge moves along its normal by n·dx: what lies on its low side gains that much area.
+            return e, jump * e.weight, cameras.pixel(e.view, e.x, e.y)
+
+    @staticmethod
+    def _motion(cameras: Cameras, positions: mi.Float, e: EdgeSamples) -> mi.Float:
+        """
+        Where edge samples lie along the normals of their edges on the film [pixels]; only the derivative matters.
+
+        What lies on the low side gains area where this grows.
+        """
         p = dr.lerp(dr.gather(mi.Point3f, positions, e.end0), dr.gather(mi.Point3f, positions, e.end1), e.s)
         film = cameras.project(e.view, p)
-        motion = film.x * e.nx + film.y * e.ny
-        dr.set_grad(motion, speed)
-        dr.enqueue(dr.ADMode.Backward, motion)
-        dr.traverse(dr.ADMode.Backward)
+        return film.x * e.nx + film.y * e.ny
 
     def _jump(self, e, packets: mi.Float, textures: Textures, cameras: Cameras, n: int) -> mi.Vector4f:
         """
