@@ -46,27 +46,9 @@ class MeshTopology:
         mesh = split_mirrored(mesh)
         self.mesh = mesh
         self.n_positions, self.n_vertices, self.n_faces = len(mesh.positions), len(mesh.uvs), len(mesh.faces)
-        self.position_index = upload(mi.UInt32, mesh.position_index)
-        groups = mesh.normal_groups
-        self.n_normals = int(groups.max()) + 1
-        self.normal_index = upload(mi.UInt32, groups)
-        self.face_normals = upload(mi.Vector3u, groups[mesh.faces])
-        self.face_positions = upload(mi.Vector3u, mesh.position_faces)
-        self.face_vertices = upload(mi.Vector3u, mesh.faces)
         faces4 = np.concatenate([mesh.faces, np.zeros((self.n_faces, 1), np.int64)], axis=1)
         self.faces = upload(mi.UInt32, faces4.ravel())
-
-        uv = mesh.uvs.astype(np.float64)[mesh.faces]
-        d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-        _, sign = face_tangents(mesh)
-        # t ∝ a·e1 + b·e2 is ∂p/∂u up to a positive factor, whatever the handedness.
-        self._tangent_a = upload(mi.Float, -sign * d2[:, 1])
-        self._tangent_b = upload(mi.Float, sign * d1[:, 1])
-        self._has_tangent = upload(mi.Bool, sign != 0)
-        w = np.ones(self.n_vertices)
-        w[mesh.faces[sign < 0].ravel()] = -1
-        self._w = upload(mi.Float, w)
-        self._uv = upload(mi.Vector2f, mesh.uvs)
+        self._stencil = _Stencil.of(mesh)
 
     def surface(self, positions: mi.Float) -> Surface:
         """
@@ -75,6 +57,53 @@ class MeshTopology:
         Normals are angle-weighted, tangents as in MikkTSpace (paper, Sect. 5.1): the functions of
         ``topology.vertex_normals`` and ``tangents.vertex_tangents``, in Dr.Jit.
         """
+        return Surface(dr.custom(_PacketsOp, self._stencil, positions), self.faces)
+
+
+@dataclass
+class _Stencil:
+    """
+    What vertex data are made of the positions with; a PyTree, so that frozen functions take it as an argument.
+    """
+
+    position_index: mi.UInt32  # (V,)
+    normal_index: mi.UInt32  # (V,)
+    face_positions: mi.Vector3u  # (F,)
+    face_normals: mi.Vector3u  # (F,)
+    face_vertices: mi.Vector3u  # (F,)
+    tangent_a: mi.Float  # (F,)
+    tangent_b: mi.Float  # (F,)
+    has_tangent: mi.Bool  # (F,)
+    handedness: mi.Float  # (V,)
+    uv: mi.Vector2f  # (V,)
+    n_normals: int
+    n_vertices: int
+
+    @staticmethod
+    def of(mesh: Mesh) -> _Stencil:
+        uv = mesh.uvs.astype(np.float64)[mesh.faces]
+        d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+        _, sign = face_tangents(mesh)
+        handedness = np.ones(len(mesh.uvs))
+        handedness[mesh.faces[sign < 0].ravel()] = -1
+        groups = mesh.normal_groups
+        return _Stencil(
+            position_index=upload(mi.UInt32, mesh.position_index),
+            normal_index=upload(mi.UInt32, groups),
+            face_positions=upload(mi.Vector3u, mesh.position_faces),
+            face_normals=upload(mi.Vector3u, groups[mesh.faces]),
+            face_vertices=upload(mi.Vector3u, mesh.faces),
+            # t ∝ a·e1 + b·e2 is ∂p/∂u up to a positive factor, whatever the handedness.
+            tangent_a=upload(mi.Float, -sign * d2[:, 1]),
+            tangent_b=upload(mi.Float, sign * d1[:, 1]),
+            has_tangent=upload(mi.Bool, sign != 0),
+            handedness=upload(mi.Float, handedness),
+            uv=upload(mi.Vector2f, mesh.uvs),
+            n_normals=int(groups.max()) + 1,
+            n_vertices=len(mesh.uvs),
+        )
+
+    def packets(self, positions: mi.Float) -> mi.Float:
         face_p = [dr.gather(mi.Point3f, positions, i) for i in self.face_positions]
         normals = self._normals(face_p)
         corner_n = [dr.gather(mi.Vector3f, normals, i) for i in self.face_normals]
@@ -87,11 +116,7 @@ class MeshTopology:
         length2 = dr.squared_norm(t)
         # A vertex whose tangents cancel, or without UV area: the direction that the export takes, without a gradient.
         t = dr.select(length2 > 1e-12, t * dr.rsqrt(dr.maximum(length2, 1e-12)), dr.detach(_any_tangent(n)))
-        values = [p.x, p.y, p.z, self._uv.x, n.x, n.y, n.z, self._uv.y, t.x, t.y, t.z, self._w]
-        packets = dr.zeros(mi.Float, self.n_vertices * 12)
-        for k in range(3):
-            dr.scatter(packets, mi.Vector4f(*values[4 * k : 4 * k + 4]), dr.arange(mi.UInt32, self.n_vertices) * 3 + k)
-        return Surface(packets, self.faces)
+        return dr.ravel(mi.ArrayXf([*p, self.uv.x, *n, self.uv.y, *t, self.handedness]))
 
     def _normals(self, face_p: list[mi.Point3f]) -> mi.Float:
         n = dr.cross(face_p[1] - face_p[0], face_p[2] - face_p[0])
@@ -107,14 +132,60 @@ class MeshTopology:
         return dr.ravel(total)
 
     def _tangents(self, face_p: list[mi.Point3f], corner_n: list[mi.Vector3f]) -> mi.Float:
-        flat = self._tangent_a * (face_p[1] - face_p[0]) + self._tangent_b * (face_p[2] - face_p[0])
+        flat = self.tangent_a * (face_p[1] - face_p[0]) + self.tangent_b * (face_p[2] - face_p[0])
         total = dr.zeros(mi.Float, self.n_vertices * 3)
         for c in range(3):
             n = corner_n[c]
             plane = lambda x, n=n: _unit(x - n * dr.dot(n, x))  # noqa: E731
             angle = _angle(plane(face_p[(c + 1) % 3] - face_p[c]), plane(face_p[(c + 2) % 3] - face_p[c]))
-            dr.scatter_add(total, plane(_unit(flat)) * angle, self.face_vertices[c], self._has_tangent)
+            dr.scatter_add(total, plane(_unit(flat)) * angle, self.face_vertices[c], self.has_tangent)
         return total
+
+
+class _PacketsOp(dr.CustomOp):
+    """
+    :meth:`_Stencil.packets`, recorded at the first call: tracing it took longer than computing it.
+    """
+
+    def eval(self, stencil, positions):
+        self.stencil, self.positions = stencil, positions
+        return _packets(stencil, positions)
+
+    def forward(self):
+        self.set_grad_out(_packets_forward(self.stencil, self.positions, self.grad_in("positions")))
+
+    def backward(self):
+        self.set_grad_in("positions", _packets_backward(self.stencil, self.positions, self.grad_out()))
+
+    def name(self):
+        return "Packets"
+
+
+@dr.freeze
+def _packets(stencil, positions):
+    return stencil.packets(positions)
+
+
+@dr.freeze
+def _packets_forward(stencil, positions, grad):
+    positions = mi.Float(positions)
+    dr.enable_grad(positions)
+    packets = stencil.packets(positions)
+    dr.set_grad(positions, grad)
+    dr.enqueue(dr.ADMode.Forward, positions)
+    dr.traverse(dr.ADMode.Forward)
+    return dr.grad(packets)
+
+
+@dr.freeze
+def _packets_backward(stencil, positions, grad):
+    positions = mi.Float(positions)
+    dr.enable_grad(positions)
+    packets = stencil.packets(positions)
+    dr.set_grad(packets, grad)
+    dr.enqueue(dr.ADMode.Backward, packets)
+    dr.traverse(dr.ADMode.Backward)
+    return dr.grad(positions)
 
 
 def _any_tangent(n: mi.Vector3f) -> mi.Vector3f:
