@@ -120,6 +120,14 @@ def test_every_texel_has_a_place_of_its_own(height, width):
     assert np.all(np.ptp(place[:8, :8]) < 64)  # a tile is in one piece
 
 
+def test_room_for_gradients_hardly_ever_changes():
+    textures, rng = Textures(*images(256, 256)), np.random.default_rng(4)
+    room = textures.gradient_room(1000)
+    assert 1500 <= room < 2000
+    assert {textures.gradient_room(int(n)) for n in rng.integers(1, 1500, 50)} == {room}
+    assert room < textures.gradient_room(2500) <= textures.n_stored // BLOCK == textures.gradient_room(4000)
+
+
 def test_images_come_back():
     three = images(5, 7)
     base, specular, normal = three

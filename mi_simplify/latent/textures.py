@@ -88,7 +88,7 @@ class TexelGradient:
     ----------
     blocks : mi.UInt32, width K
         Block numbers, ascending.
-    values : mi.Float, width K·BLOCK·channels
+    values : mi.Float, width K·BLOCK·channels or more
     """
 
     blocks: mi.UInt32
@@ -104,7 +104,7 @@ class TexelGradient:
         The sum is a pending side effect: evaluate ``values`` with what else the kernel computes. Cost grows with the
         texels touched, not with those there are.
         """
-        values = dr.zeros(mi.Float, dr.width(blocks.blocks) * BLOCK * textures.n_channels)
+        values = dr.zeros(mi.Float, textures.gradient_room(dr.width(blocks.blocks)) * BLOCK * textures.n_channels)
         fx, fy = dr.detach(footprint.fx), dr.detach(footprint.fy)
         weights = ((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy)
         for i, w in zip(footprint.index, weights, strict=True):
@@ -121,9 +121,10 @@ class TexelGradient:
         n = textures.n_channels
         out = dr.zeros(mi.Float, textures.n_stored * n)
         span = BLOCK * n
-        lane = dr.arange(mi.UInt32, dr.width(self.values))
+        lane = dr.arange(mi.UInt32, dr.width(self.blocks) * span)
         block = lane // span
-        dr.scatter(out, self.values, dr.gather(mi.UInt32, self.blocks, block) * span + (lane - block * span))
+        place = dr.gather(mi.UInt32, self.blocks, block) * span + (lane - block * span)
+        dr.scatter(out, dr.gather(mi.Float, self.values, lane), place)
         texel = dr.arange(mi.UInt32, textures.n_texels)
         row = texel // textures.width
         place = textures.place(row, texel - row * textures.width)
@@ -153,6 +154,7 @@ class Textures:
         packed = np.zeros((self.n_stored, self.n_channels), np.float32)
         packed[self.place(*np.indices((self.height, self.width)))] = np.concatenate(planes, axis=2)
         self.data = upload(mi.Float, packed.ravel())
+        self._room = 0
 
     @property
     def n_texels(self) -> int:
@@ -170,6 +172,18 @@ class Textures:
         """
         tile = (row // TILE) * -(-self.width // TILE) + column // TILE
         return (tile * TILE + row % TILE) * TILE + column % TILE
+
+    def gradient_room(self, n_blocks: int) -> int:
+        """
+        Blocks to make room for where a gradient has ``n_blocks``: hardly ever another number than before.
+
+        Every size of what threads add up in private copies is a kernel of its own, compiled for a third of a second.
+        """
+        if n_blocks > self._room:
+            need = n_blocks + n_blocks // 2
+            unit = 1 << max(need.bit_length() - 3, 0)
+            self._room = min(-(-need // unit) * unit, self.n_stored // BLOCK)
+        return self._room
 
     @property
     def extended(self) -> bool:
