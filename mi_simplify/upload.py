@@ -13,8 +13,8 @@ def upload(kind: type, array: np.ndarray):
     """
     A Dr.Jit array with a copy of NumPy data.
 
-    ``kind(array)`` alone borrows the memory on the CPU: a kernel that still waits in the queue when the last Python reference
-    goes reads freed memory, and wide gathers and scatters may crash because it is not aligned.
+    ``kind(array)`` alone borrows the memory on the CPU: a kernel that still waits in the queue when the last Python
+    reference goes reads freed memory, and wide gathers and scatters may crash because it is not aligned.
 
     Parameters
     ----------
@@ -27,8 +27,9 @@ def upload(kind: type, array: np.ndarray):
     -----
     Waits for the device.
     """
-    scalar = {dr.VarType.Float32: np.float32, dr.VarType.UInt32: np.uint32, dr.VarType.Int32: np.int32, dr.VarType.Bool: bool}
-    borrowed = kind(np.ascontiguousarray(np.asarray(array).T, dtype=scalar[dr.type_v(kind)]))
+    t = dr.VarType
+    scalar = {t.Float32: np.float32, t.UInt32: np.uint32, t.Int32: np.int32, t.Bool: np.bool_}[dr.type_v(kind)]
+    borrowed = kind(np.ascontiguousarray(np.asarray(array).T, dtype=scalar))
     copied = dr.select(dr.opaque(mi.Bool, True), borrowed, dr.zeros(kind))
     dr.eval(copied)
     dr.sync_thread()

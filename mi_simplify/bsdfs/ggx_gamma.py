@@ -61,9 +61,9 @@ class GgxGamma(mi.BSDF):
         self.gamma = props.get_texture("gamma", 0.0)
         self.roughness = props.get_texture("roughness", 0.5)
         self.metallic = props.get_texture("metallic", 0.0)
-        self.opacity = props.get_texture("opacity") if props.has_property("opacity") else None
+        self.opacity = props.get_texture("opacity") if "opacity" in props else None
         self.opacity_cutoff = props.get("opacity_cutoff", 0.0)
-        self.normal_map = props.get_texture("normal_map") if props.has_property("normal_map") else None
+        self.normal_map = props.get_texture("normal_map") if "normal_map" in props else None
         self.mesh_tangents = props.get("mesh_tangents", False)
         self.vertex_colors = props.get("vertex_colors", False)
         self.form = microfacet.check_form(props.get("form", "gltf"))

@@ -65,7 +65,7 @@ class Reference(Section):
         "tracing, shadows and indirect light end up in the textures. `matched`: full path tracing, and what the small "
         "model's direct light lacks is added to it as a constant, so that materials stay clean.",
     )
-    spp: int = Field(32, ge=1, le=65536, description="Samples per pixel of a reference image.")
+    spp: int = Field(16, ge=1, le=65536, description="Samples per pixel of a reference image.")
     max_depth: int = Field(6, ge=2, le=1024, description="Longest light path, in edges; only path tracing reads it.")
     pool: int = Field(128, ge=1, description="Rendered views held ready; a step draws its batch from them.")
     refresh: int = Field(4, ge=0, description="Views of the pool rendered anew per step; 0 keeps the first ones.")
@@ -125,11 +125,10 @@ class Latent(Section):
 class Light(Section):
     """The one point light of a view."""
 
-    distance: float = Field(
-        3.5, gt=0, description="Distance at which `intensity` is felt; the light stands as far off as the camera."
-    )
     exponent: float = Field(1.0, ge=0, description="Directions follow cos^exponent around the camera's; 0: evenly.")
-    intensity: float = Field(30.0, gt=0, description="Radiant intensity [W/sr] per channel.")
+    irradiance: float = Field(
+        2.5, gt=0, description="Irradiance at the centre per channel; π shows a white diffuse surface with radiance 1."
+    )
 
 
 class Views(Section):
@@ -147,10 +146,10 @@ class Views(Section):
 class Rates(Section):
     """Learning rates at the start."""
 
-    vertices: float = Field(0.0015, ge=0, description="Vertex positions.")
-    base_color: float = Field(0.01, ge=0, description="Base colour and opacity.")
-    specular: float = Field(0.01, ge=0, description="Gamma, roughness and metallic.")
-    normal: float = Field(0.01, ge=0, description="Normal map.")
+    vertices: float = Field(0.002, ge=0, description="Vertex positions.")
+    base_color: float = Field(0.002, ge=0, description="Base colour and opacity.")
+    specular: float = Field(0.002, ge=0, description="Gamma, roughness and metallic.")
+    normal: float = Field(0.002, ge=0, description="Normal map.")
 
 
 class LargeSteps(Section):
@@ -170,7 +169,7 @@ class Optimizer(Section):
     )
     spp: int = Field(4, ge=1, le=65536, description="Samples per pixel of a latent image.")
     rates: Rates = Rates()
-    decay: float = Field(0.1, gt=0, le=1, description="Factor by which the rates fall over the whole run.")
+    decay: float = Field(0.05, gt=0, le=1, description="Factor by which the rates fall over the whole run.")
     large_steps: LargeSteps = LargeSteps()
 
 
@@ -188,7 +187,7 @@ class Loss(Section):
     image: Literal["log_l1", "l1", "l2", "log_l2", "smape", "relative_l2"] = Field(
         "log_l1", description="Image loss; `log_l1` compares tone-mapped log(x + 1)."
     )
-    coverage: float = Field(1.0, ge=0, description="Weight of the coverage (silhouette) term.")
+    coverage: float = Field(3.0, ge=0, description="Weight of the coverage (silhouette) term.")
     laplacian: Laplacian = Laplacian()
 
 

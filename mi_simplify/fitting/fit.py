@@ -81,7 +81,7 @@ class Fit:
         view = config.views
         draw = partial(
             _draw, distance=view.distance, jitter=view.jitter, fov=view.fov, exponent=view.light.exponent,
-            irradiance=view.light.intensity / view.light.distance**2,
+            irradiance=view.light.irradiance,
         )  # fmt: skip
         residual = None
         if matched:

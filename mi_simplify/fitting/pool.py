@@ -79,7 +79,7 @@ class ViewPool:
 
     def batch(self, n: int) -> tuple[Views, mi.Vector4f, mi.Vector4f]:
         """
-        ``n`` different views of the pool (some of them twice where it holds fewer), their images and residuals, width ``n·H·W``.
+        ``n`` different views of the pool (some twice if it holds fewer), their images and residuals, width ``n·H·W``.
         """
         pick = self.rng.choice(len(self._images), size=n, replace=len(self._images) < n)
         arrays = {key: np.stack([self._views[i][key] for i in pick]) for key in self._views[0]}

@@ -22,9 +22,9 @@ class PathResidual:
     """
     ``path(θ) - direct(θ)`` of the current latent model: indirect light, to be added to the differentiable image.
 
-    With it the latent image has the values of a path tracer and the gradients of the direct renderer, so that a path-traced
-    reference leaves neither shadows nor indirect light in the textures. The residual belongs to a view and is as old as
-    the view is in the pool.
+    With it the latent image has the values of a path tracer and the gradients of the direct renderer, so that a
+    path-traced reference leaves neither shadows nor indirect light in the textures. The residual belongs to a view and
+    is as old as the view is in the pool.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class PathResidual:
         )
         path = tracer.render(views, seed)
         with dr.suspend_grad():
-            frame = self._renderer.render(surface, textures, views, spp=self._spp, seed=dr.opaque(mi.UInt32, seed % 2**31))
+            frame = self._renderer.render(surface, textures, views, spp=self._spp, seed=dr.opaque(mi.UInt32, seed))
         direct = frame.image.numpy().T.reshape(path.shape)
         residual = path - direct
         residual[..., 3] = 0

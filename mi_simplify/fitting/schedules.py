@@ -17,12 +17,12 @@ def exponential(progress: float, total: float) -> float:
 
 def laplacian_weight(progress: float, floor: float) -> float:
     """
-    Factor of the Laplacian's weight: ``λ_t = (λ_{t-1} - λ_min) 10^(-kt) + λ_min``, k = 1e-6 (Hasselgren et al. 2021, Sect. 5.3).
+    Factor of the Laplacian's weight: ``λ_t = (λ_{t-1} - λ_min) 10^(-kt) + λ_min`` (Hasselgren et al. 2021, Sect. 5.3).
 
     Parameters
     ----------
     progress : float
-        In [0, 1]; 1 is the paper's step 10,000.
+        In [0, 1]; 1 is the paper's step 10,000, for which its k = 1e-6 holds.
     floor : float
         ``λ_min / λ_0``, 0.02 in the paper.
     """

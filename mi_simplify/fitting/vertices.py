@@ -32,7 +32,9 @@ class VertexSteps:
         flat = upload(mi.Float, np.ravel(positions))
         # LargeSteps welds by equal coordinates; our positions are distinct by construction, but need not be.
         keys = np.arange(len(positions) * 3, dtype=np.float32)
-        self._diffusion = mi.ad.LargeSteps(upload(mi.Float, keys), upload(mi.UInt32, faces.ravel()), lambda_) if lambda_ > 0 else None
+        self._diffusion = None
+        if lambda_ > 0:
+            self._diffusion = mi.ad.LargeSteps(upload(mi.Float, keys), upload(mi.UInt32, faces.ravel()), lambda_)
         start = self._diffusion.to_differential(flat) if self._diffusion else flat
         self._rate = rate
         self._adam = mi.ad.Adam(lr=rate, uniform=True, beta_1=0.9, beta_2=0.999, params={"u": start})

@@ -113,8 +113,8 @@ class DeferredRenderer:
 
         Notes
         -----
-        Three kernels: hits of all samples; the list of those that hit (read back); their shading. Most samples of a view
-        see the background, so shading and its derivative run over a fraction of them.
+        Three kernels: hits of all samples; the list of those that hit (read back); their shading. Most samples of a
+        view see the background, so shading and its derivative run over a fraction of them.
         """
         cameras = Cameras.of(views)
         attached = cameras.packets
@@ -149,7 +149,13 @@ class DeferredRenderer:
         return Frame(image, attached, cameras, packets, samples, pixel, lookup, spp)
 
     def backward(
-        self, frame: Frame, grad_image: mi.Vector4f, surface: Surface, textures: Textures, positions: mi.Float, seed: mi.UInt32
+        self,
+        frame: Frame,
+        grad_image: mi.Vector4f,
+        surface: Surface,
+        textures: Textures,
+        positions: mi.Float,
+        seed: mi.UInt32,
     ) -> TexelGradient | None:
         """
         Carry the derivative of a loss by the image to positions and texels, and to the views where they are attached.
@@ -236,7 +242,9 @@ class DeferredRenderer:
             dr.scatter_reduce(dr.ReduceOp.Add, image, jump * speed, pixel)
         return dr.gather(mi.Vector4f, image, dr.arange(mi.UInt32, frame.cameras.n_pixels))
 
-    def _boundary(self, frame: Frame, grad_flat: mi.Float, textures: Textures, positions: mi.Float, seed: mi.UInt32) -> None:
+    def _boundary(
+        self, frame: Frame, grad_flat: mi.Float, textures: Textures, positions: mi.Float, seed: mi.UInt32
+    ) -> None:
         """
         Add the gradient that moving edges have on the image, to ``positions`` and cameras.
         """
@@ -248,7 +256,7 @@ class DeferredRenderer:
 
     def _edge_jumps(self, frame: Frame, textures: Textures, positions: mi.Float, seed: mi.UInt32):
         """
-        Edge samples, what a pixel there gains where the edge moves by one pixel along its normal, and which pixel that is.
+        Edge samples, what a pixel there gains where the edge moves by a pixel along its normal, and which pixel it is.
         """
         cameras = frame.cameras
         n = max(64, int(cameras.n_pixels * frame.spp * self.edge_fraction))

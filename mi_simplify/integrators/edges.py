@@ -133,8 +133,8 @@ class EdgeSet:
         n_samples : int
             How many points N; constant, so that no kernel is compiled anew.
         image : mi.Float, width B·height·width·4, optional
-            What the views show. With it an edge gets points in proportion to how much the image differs to either side of
-            its middle, which halves the variance of a gradient; it only says where to look.
+            What the views show. With it an edge gets points in proportion to how much the image differs to either side
+            of its middle, which halves the variance of a gradient; it only says where to look.
 
         Notes
         -----

@@ -22,8 +22,8 @@ class Fragment:
     """
     Surface attributes where a ray meets a known triangle; all follow the surface along the *fixed* ray.
 
-    ``normal`` and ``tangent`` are interpolated, ``normal`` is unit length, ``tangent`` neither unit nor
-    orthogonal; ``handedness`` is ±1; ``geometric_normal`` is detached; ``is_back`` says that the ray meets the back of the triangle.
+    ``normal`` and ``tangent`` are interpolated, ``normal`` is unit length, ``tangent`` neither unit nor orthogonal;
+    ``handedness`` is ±1; ``geometric_normal`` is detached; ``is_back`` says that the ray meets the triangle's back.
     """
 
     p: mi.Point3f
@@ -37,7 +37,9 @@ class Fragment:
     active: mi.Bool
 
 
-def trace(scene: mi.Scene, origin: mi.Point3f, direction: mi.Vector3f, active=True, tmin=None) -> tuple[mi.UInt32, mi.Float]:
+def trace(
+    scene: mi.Scene, origin: mi.Point3f, direction: mi.Vector3f, active=True, tmin=None
+) -> tuple[mi.UInt32, mi.Float]:
     """
     Nearest triangle of a scene of one mesh along each ray.
 

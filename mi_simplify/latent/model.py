@@ -28,8 +28,8 @@ class Mesh:
     faces : ndarray, shape (F, 3), int64
         Counter-clockwise *vertex* indices; ``position_index[faces]`` is the welded topology.
     normal_index : ndarray, shape (V,), int64, optional
-        Vertices with the same number share a normal; a crease runs where those of one position differ. Without it all of
-        one position share one.
+        Vertices with the same number share a normal; a crease runs where those of one position differ. Without it all
+        of one position share one.
     """
 
     positions: np.ndarray

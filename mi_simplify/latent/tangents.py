@@ -97,7 +97,7 @@ def split_mirrored(mesh: Mesh) -> Mesh:
     return replace(
         mesh,
         position_index=np.concatenate([mesh.position_index, mesh.position_index[mixed]]),
-        normal_index=None if mesh.normal_index is None else np.concatenate([mesh.normal_index, mesh.normal_index[mixed]]),
+        normal_index=np.concatenate([mesh.normal_groups, mesh.normal_groups[mixed]]),
         uvs=np.concatenate([mesh.uvs, mesh.uvs[mixed]]),
         faces=faces,
     )

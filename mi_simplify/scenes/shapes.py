@@ -100,8 +100,9 @@ class MovingMesh:
     """
 
     def __init__(self, positions: np.ndarray, faces: np.ndarray):
-        # Mitsuba has Embree try a spatial split wherever boxes overlap by more than 5e-6 of the scene's area, which takes three
-        # quarters of a build and gains nothing here. A point far away makes the scene so large that it never does.
+        # Mitsuba has Embree try a spatial split wherever boxes overlap by more than 5e-6 of the scene's area, which
+        # takes three quarters of a build and gains nothing here. A point far away makes the scene so large that it
+        # never does.
         far = make_mesh("far", np.full((3, 3), _FAR * max(1.0, np.abs(positions).max())), np.array([[0, 1, 2]]))
         self.scene = mi.load_dict({"type": "scene", "mesh": make_mesh("moving", positions, faces), "far": far})
         self._params = mi.traverse(self.scene)

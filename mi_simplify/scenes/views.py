@@ -104,7 +104,9 @@ class Views:
         return Views.from_arrays(joined, parts[0].width, parts[0].height)
 
 
-def look_at(origin, target, light, *, width, height, fov=45.0, irradiance=np.pi, up=(0.0, 1.0, 0.0), frame=0.0) -> Views:
+def look_at(
+    origin, target, light, *, width, height, fov=45.0, irradiance=np.pi, up=(0.0, 1.0, 0.0), frame=0.0
+) -> Views:
     """
     Views from camera, target and light positions.
 
@@ -212,7 +214,9 @@ def goniometer(
     )  # fmt: skip
 
 
-def held_out_views(bounds: np.ndarray, n: int = 8, resolution: int = 256, seed: int = 0, *, irradiance: float = 2.0) -> Views:
+def held_out_views(
+    bounds: np.ndarray, n: int = 8, resolution: int = 256, seed: int = 0, *, irradiance: float = 2.0
+) -> Views:
     """
     Views for judging that no fit draws: a turned Fibonacci sphere, every other light 30–75° off the camera.
 
