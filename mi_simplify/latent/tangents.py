@@ -94,10 +94,11 @@ def split_mirrored(mesh: Mesh) -> Mesh:
     twin = np.arange(len(mesh.uvs))
     twin[mixed] = len(mesh.uvs) + np.arange(len(mixed))
     faces = np.where((sign == -1)[:, None], twin[mesh.faces], mesh.faces)
+    groups = mesh.normal_index
     return replace(
         mesh,
         position_index=np.concatenate([mesh.position_index, mesh.position_index[mixed]]),
-        normal_index=np.concatenate([mesh.normal_groups, mesh.normal_groups[mixed]]),
+        normal_index=None if groups is None else np.concatenate([groups, groups[mixed]]),
         uvs=np.concatenate([mesh.uvs, mesh.uvs[mixed]]),
         faces=faces,
     )
