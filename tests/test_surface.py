@@ -124,3 +124,17 @@ def test_vertices_without_a_tangent_of_their_own_get_the_exported_one():
     mesh = charted_sphere(2, noise=0.1)
     topology = MeshTopology(Mesh(mesh.positions, mesh.position_index, mesh.uvs * 0, mesh.faces))
     assert np.abs(packets(topology, mesh.positions) - numpy_packets(topology.mesh, mesh.positions)).max() < 2e-6
+
+
+def test_meshes_of_other_sizes_do_not_disturb_each_other():
+    """Frozen functions are recorded anew for other sizes, of the positions alone too."""
+    mesh = charted_sphere(4, noise=0.05, seed=1)
+    spare = replace(mesh, positions=np.concatenate([mesh.positions, np.ones((40, 3))]))
+    for m in (mesh, spare, charted_sphere(6, noise=0.05, seed=1), mesh):
+        topology, positions = MeshTopology(m), flat(m.positions)
+        dr.enable_grad(positions)
+        result = topology.surface(positions).packets
+        assert np.abs(result.numpy().reshape(-1, 12) - numpy_packets(topology.mesh, m.positions)).max() < 5e-6
+        dr.backward(dr.sum(result))
+        grad = dr.grad(positions).numpy().reshape(-1, 3)
+        assert np.array_equal(np.any(grad != 0, axis=1), np.isin(np.arange(len(m.positions)), m.position_index))

@@ -64,6 +64,9 @@ class MeshTopology:
 class _Stencil:
     """
     What vertex data are made of the positions with; a PyTree, so that frozen functions take it as an argument.
+
+    A frozen function allocates what it allocated when it was recorded, whatever the size of its arguments, but is
+    recorded anew where a plain number among them changes: all sizes are here.
     """
 
     position_index: mi.UInt32  # (V,)
@@ -76,7 +79,9 @@ class _Stencil:
     has_tangent: mi.Bool  # (F,)
     handedness: mi.Float  # (V,)
     uv: mi.Vector2f  # (V,)
+    n_faces: int
     n_normals: int
+    n_positions: int
     n_vertices: int
 
     @staticmethod
@@ -99,7 +104,9 @@ class _Stencil:
             has_tangent=upload(mi.Bool, sign != 0),
             handedness=upload(mi.Float, handedness),
             uv=upload(mi.Vector2f, mesh.uvs),
+            n_faces=len(mesh.faces),
             n_normals=int(groups.max()) + 1,
+            n_positions=len(mesh.positions),
             n_vertices=len(mesh.uvs),
         )
 
