@@ -76,7 +76,7 @@ class DeferredRenderer:
         self.topology, self.form, self.edge_fraction, self.shadows = topology, form, edge_fraction, shadows
         self.tracer = MovingMesh(mesh.positions, mesh.position_faces)
         table = edge_table(mesh.position_faces, mesh.faces)
-        self.edges = EdgeSet(table, mesh.position_faces)
+        self.edges = EdgeSet(table, mesh.position_faces, positions=mesh.positions)
 
     def move(self, positions: mi.Float) -> None:
         """

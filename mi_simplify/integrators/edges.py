@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from ..upload import upload
 from .camera import Cameras
@@ -87,6 +89,18 @@ def edge_table(position_faces: np.ndarray, corner_keys: np.ndarray | None = None
     )
 
 
+def _wound_outwards(positions: np.ndarray, faces: np.ndarray) -> bool:
+    """
+    Whether every connected part of a closed mesh encloses a positive volume.
+    """
+    n = len(positions)
+    ends = (faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel())
+    _, part = connected_components(coo_matrix((np.ones(faces.size), ends), shape=(n, n)), directed=False)
+    p = np.asarray(positions, np.float64)[faces]
+    volume = np.bincount(part[faces[:, 0]], np.einsum("fi,fi->f", p[:, 0], np.cross(p[:, 1], p[:, 2])))
+    return bool((volume[np.unique(part[faces[:, 0]])] > 0).all())
+
+
 class EdgeSet:
     """
     An edge table on the device, with its part of a step.
@@ -97,12 +111,13 @@ class EdgeSet:
     position_faces : ndarray, shape (F, 3)
     crease_weight : float
         Samples a pixel of crease gets for one that a pixel of silhouette gets: jumps there are small.
-    opaque : bool
-        What lies behind a surface is not seen.
+    positions : ndarray, shape (P, 3), optional
+        Of an opaque mesh: where it is a closed solid and the camera stays out of its box, no crease between two back
+        faces is seen, and none is sampled.
     """
 
     def __init__(
-        self, table: EdgeTable, position_faces: np.ndarray, *, crease_weight: float = 0.25, opaque: bool = True
+        self, table: EdgeTable, position_faces: np.ndarray, *, crease_weight: float = 0.25, positions: np.ndarray | None = None
     ):
         self.n_edges = len(table.ends)
         rows = np.concatenate([table.ends, table.faces], axis=1)
@@ -110,7 +125,11 @@ class EdgeSet:
         self._kind = upload(mi.UInt32, table.kind)
         self._faces = upload(mi.Vector3u, position_faces)
         self._crease_weight = crease_weight
-        self._hide_back = table.closed and opaque
+        self._solid_box = None
+        if positions is not None and table.closed and _wound_outwards(positions, position_faces):
+            low, high = positions.min(0), positions.max(0)
+            margin = 0.1 * np.linalg.norm(high - low)  # for what the mesh grows by later
+            self._solid_box = [mi.ScalarPoint3f((c + s * margin).tolist()) for c, s in ((low, -1), (high, 1))]
 
     def _planes(self, positions: mi.Float) -> mi.Float:
         """
@@ -197,7 +216,10 @@ class EdgeSet:
         kind = dr.gather(mi.UInt32, self._kind, segment.edge)
         weight = dr.select((side[0] != side[1]) | (kind == OPEN), mi.Float(1), 0)
         weight = dr.select((weight == 0) & (kind == CREASE), self._crease_weight, weight)
-        return dr.select(side[0] | side[1], weight, 0) if self._hide_back else weight
+        if self._solid_box is None:
+            return weight
+        low, high = self._solid_box
+        return dr.select(side[0] | side[1] | dr.all((o > low) & (o < high)), weight, 0)
 
     def _segment(self, positions: mi.Float, cameras: Cameras, view: mi.UInt32, edge: mi.UInt32):
         """

@@ -86,7 +86,7 @@ class SceneEdges:
             keys = np.concatenate([k + o for (_, k), o in zip(tables, key_offset, strict=True)])
             all_faces = np.concatenate(faces)
             # Materials are unknown here, so nothing is taken for granted about what lies behind.
-            self.edges = EdgeSet(edge_table(all_faces, keys), all_faces, opaque=False)
+            self.edges = EdgeSet(edge_table(all_faces, keys), all_faces)
         self._first = [upload(mi.UInt32, g) for g in gather]
 
     def is_of(self, scene: mi.Scene) -> bool:
