@@ -117,7 +117,12 @@ class EdgeSet:
     """
 
     def __init__(
-        self, table: EdgeTable, position_faces: np.ndarray, *, crease_weight: float = 0.25, positions: np.ndarray | None = None
+        self,
+        table: EdgeTable,
+        position_faces: np.ndarray,
+        *,
+        crease_weight: float = 0.25,
+        positions: np.ndarray | None = None,
     ):
         self.n_edges = len(table.ends)
         rows = np.concatenate([table.ends, table.faces], axis=1)
