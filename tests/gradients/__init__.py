@@ -1,0 +1,1 @@
+"""Gradients of both renderers against central finite differences; see docs/gradients.md for the table."""
