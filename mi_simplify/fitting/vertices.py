@@ -1,5 +1,5 @@
 """
-Steps on vertex positions: uniform Adam in a smoothed parameterisation.
+Steps on vertex positions: Adam with one rate for a vertex's three coordinates, in a smoothed parameterisation.
 """
 
 from __future__ import annotations
@@ -13,9 +13,12 @@ from ..upload import upload
 
 class VertexSteps:
     """
-    Positions v through ``u = (I + λL) v``, optimised by Adam with one second moment for all (Nicolet et al. 2021).
+    Positions v through ``u = (I + λL) v`` (Nicolet et al. 2021), optimised by a rotation-invariant Adam.
 
-    Gradients spread over the surface, so sparse silhouette gradients move whole regions and do not crumple the mesh.
+    Gradients spread over the surface, so sparse silhouette gradients move whole regions and do not crumple the mesh. The
+    second moment of a vertex is that of its gradient's length (VectorAdam, Ling et al. 2022), averaged with the mean over
+    all vertices: steps do not depend on the axes, vertices that the images say little about move little, and no single
+    noisy vertex slows down the others, as it does where all are divided by the largest (UniformAdam).
 
     Parameters
     ----------
@@ -23,28 +26,30 @@ class VertexSteps:
         Welded.
     faces : ndarray, shape (F, 3)
     rate : float
-        Learning rate [normalised units].
+        Typical step [normalised units].
     lambda_ : float
-        Diffusion; 0 gives plain uniform Adam.
+        Diffusion; 0 for none.
     """
 
-    def __init__(self, positions: np.ndarray, faces: np.ndarray, rate: float, lambda_: float):
+    def __init__(self, positions: np.ndarray, faces: np.ndarray, rate: float, lambda_: float, beta1=0.9, beta2=0.99):
         flat = upload(mi.Float, np.ravel(positions))
-        # LargeSteps welds by equal coordinates; our positions are distinct by construction, but need not be.
-        keys = np.arange(len(positions) * 3, dtype=np.float32)
         self._diffusion = None
         if lambda_ > 0:
-            self._diffusion = mi.ad.LargeSteps(upload(mi.Float, keys), upload(mi.UInt32, faces.ravel()), lambda_)
-        start = self._diffusion.to_differential(flat) if self._diffusion else flat
-        self._rate = rate
-        self._adam = mi.ad.Adam(lr=rate, uniform=True, beta_1=0.9, beta_2=0.999, params={"u": start})
+            # LargeSteps welds by equal coordinates; our positions are welded already, and may coincide.
+            keys = upload(mi.Float, np.arange(positions.size, dtype=np.float32))
+            self._diffusion = mi.ad.LargeSteps(keys, upload(mi.UInt32, faces.ravel()), lambda_)
+        self._u = self._diffusion.to_differential(flat) if self._diffusion else flat
+        self._rate, self._beta1, self._beta2 = rate, beta1, beta2
+        self._m = dr.zeros(mi.Vector3f, len(positions))
+        self._v = dr.zeros(mi.Float, len(positions))
+        self._steps = 0
+        dr.enable_grad(self._u)
 
     def positions(self) -> mi.Float:
         """
         Current positions, flat, width P·3, attached to the parameter.
         """
-        u = self._adam["u"]
-        v = self._diffusion.from_differential(u) if self._diffusion else mi.Float(u)
+        v = self._diffusion.from_differential(self._u) if self._diffusion else mi.Float(self._u)
         dr.eval(v)
         return v
 
@@ -55,5 +60,14 @@ class VertexSteps:
         dr.set_grad(positions, grad_positions)
         dr.enqueue(dr.ADMode.Backward, positions)
         dr.traverse(dr.ADMode.Backward)
-        self._adam.set_learning_rate({"u": self._rate * factor})
-        self._adam.step()
+        grad = dr.unravel(mi.Vector3f, dr.grad(self._u))
+        self._steps += 1
+        self._m = dr.lerp(grad, self._m, self._beta1)
+        self._v = dr.lerp(dr.squared_norm(grad), self._v, self._beta2)
+        correct = (1 - self._beta2**self._steps) ** 0.5 / (1 - self._beta1**self._steps)
+        scale = dr.opaque(mi.Float, self._rate * factor * correct)
+        dr.eval(self._m, self._v)
+        step = self._m * dr.rsqrt(dr.maximum(0.5 * (self._v + dr.mean(self._v)), 1e-24)) * scale
+        self._u = dr.detach(self._u) - dr.ravel(step)
+        dr.enable_grad(self._u)
+        dr.eval(self._u)
