@@ -147,9 +147,9 @@ class Rates(Section):
     """Learning rates at the start."""
 
     vertices: float = Field(0.001, ge=0, description="Vertex positions: the typical step.")
-    base_color: float = Field(0.002, ge=0, description="Base colour and opacity.")
-    specular: float = Field(0.002, ge=0, description="Gamma, roughness and metallic.")
-    normal: float = Field(0.002, ge=0, description="Normal map.")
+    base_color: float = Field(0.001, ge=0, description="Base colour and opacity.")
+    specular: float = Field(0.001, ge=0, description="Gamma, roughness and metallic.")
+    normal: float = Field(0.001, ge=0, description="Normal map.")
 
 
 class LargeSteps(Section):

@@ -209,9 +209,10 @@ def fit(
     n_steps, every = config.optimizer.steps, config.evaluation.every
     for index in range(n_steps):
         loss = run.step(index)
-        if (index + 1) % _LOG_EVERY == 0 or index + 1 == n_steps or index == 0:
+        judged = (index + 1) % every == 0 or index + 1 == n_steps
+        if judged or index % _LOG_EVERY == 0:
             record = {"step": index + 1, "loss": float(loss[0]), "seconds": round(time.perf_counter() - start, 3)}
-            if (index + 1) % every == 0 or index + 1 == n_steps:
+            if judged:
                 record["psnr"] = run.psnr()
             records.append(record)
             progress(Progress("fit", index + 1, n_steps, record["loss"], record.get("psnr")))
