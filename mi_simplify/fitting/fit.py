@@ -21,6 +21,7 @@ from ..latent.model import Model
 from ..progress import Progress, ProgressCallback, silent
 from ..scenes.reference import Reference
 from ..scenes.views import goniometer
+from ..upload import upload
 from .laplacian import Laplacian
 from .losses import frame_loss, image_loss, srgb
 from .pool import ViewPool
@@ -90,7 +91,9 @@ class Fit:
                 spp=config.reference.spp, max_depth=config.reference.max_depth, form=config.latent.shading,
             )  # fmt: skip
         self.pool = ViewPool(reference, draw, config.reference.pool, np.random.default_rng(config.seed), residual)
-        self.held_out = draw(min(config.evaluation.views, 4), np.random.default_rng(config.seed + 1), 128)
+        held_out = config.evaluation
+        resolution = min(held_out.resolution, max(config.optimizer.resolution))
+        self.held_out = draw(min(held_out.views, 8), np.random.default_rng(config.seed + 1), resolution)
         self._held_out_images = reference.render(self.held_out, seed=1)
 
     def step(self, index: int) -> mi.Float:
@@ -150,19 +153,29 @@ class Fit:
             self.renderer.move(positions)
             return self.latent.model(positions.numpy()), self.latent.evaluate(positions), self.latent.textures
 
-    def psnr(self) -> float:
+    def judge(self) -> tuple[float, float]:
         """
-        Of held-out views [dB], clipped sRGB on black, mean over views.
+        How good the current state is on views that are never fitted.
+
+        Returns
+        -------
+        loss : float
+            What is minimised, without the Laplacian.
+        psnr : float
+            Of clipped sRGB on black, mean over views [dB].
         """
         _, surface, textures = self._state()
+        seed = dr.opaque(mi.UInt32, 1)
         with dr.suspend_grad():
-            frame = self.renderer.render(surface, textures, self.held_out, spp=16, seed=dr.opaque(mi.UInt32, 1))
+            frame = self.renderer.render(surface, textures, self.held_out, spp=16, seed=seed)
         image = frame.image.numpy().T.reshape(self._held_out_images.shape)
         if self.pool.residual is not None:
             image = image + self.pool.residual.render(self.held_out, 1)
-        a, b = (np.asarray(srgb(mi.Float(np.clip(x[..., :3], 0, 1).ravel()))) for x in (image, self._held_out_images))
-        mse = ((a - b) ** 2).reshape(len(image), -1).mean(1)
-        return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-10))))
+        pixels = [upload(mi.Vector4f, x.reshape(-1, 4)) for x in (image, self._held_out_images)]
+        loss, _ = frame_loss(*pixels, self._background(dr.width(pixels[0]), seed), self.loss, self._coverage)
+        a, b = (srgb(dr.clip(x.xyz, 0, 1)).numpy().T.reshape(len(image), -1) for x in pixels)
+        mse = ((a - b) ** 2).mean(1)
+        return float(loss[0]), float(np.mean(-10 * np.log10(np.maximum(mse, 1e-10))))
 
     def model(self) -> Model:
         """
@@ -188,7 +201,8 @@ def fit(
     """
     Optimise a first guess until it looks like the reference.
 
-    Minimises the expected image loss over random views (Hasselgren et al. 2021, Eq. 1 and 6).
+    Minimises the expected image loss over random views (Hasselgren et al. 2021, Eq. 1 and 6), and returns the state
+    with the least loss on held-out views, which may be the first guess itself: a warning says so.
 
     Parameters
     ----------
@@ -205,20 +219,31 @@ def fit(
     -------
     FitResult
     """
-    run, records, start = Fit(model, reference, config), [], time.perf_counter()
     n_steps, every = config.optimizer.steps, config.evaluation.every
+    if n_steps == 0:
+        return FitResult(model)
+    run, records, start = Fit(model, reference, config), [], time.perf_counter()
+    least, _ = run.judge()
+    best, best_step = model, 0
     for index in range(n_steps):
         loss = run.step(index)
         judged = (index + 1) % every == 0 or index + 1 == n_steps
         if judged or index % _LOG_EVERY == 0:
             record = {"step": index + 1, "loss": float(loss[0]), "seconds": round(time.perf_counter() - start, 3)}
             if judged:
-                record["psnr"] = run.psnr()
+                held_out, record["psnr"] = run.judge()
+                record["held_out_loss"] = held_out
+                if held_out < least:
+                    least, best, best_step = held_out, run.model(), index + 1
             records.append(record)
             progress(Progress("fit", index + 1, n_steps, record["loss"], record.get("psnr")))
         if on_step is not None:
             on_step(run, index)
-    return FitResult(run.model() if n_steps else model, records)
+    if best_step == 0:
+        log.warning("no step of the fit was better on held-out views than the first guess, which is kept as it was")
+    elif best_step < n_steps:
+        log.info("the model of step %d of %d is kept: it was the best on held-out views", best_step, n_steps)
+    return FitResult(best, records)
 
 
 #: Steps between two renewals of the pool: fewer, larger ones cost less.
