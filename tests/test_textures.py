@@ -94,7 +94,7 @@ def test_gradient_is_the_transposed_lookup(height, width, extended):
     flags = TouchedBlocks.flags(textures, footprint)
     dr.eval(flags)
     g = rng.normal(size=(textures.n_channels, n)).astype(np.float32)
-    collected = TexelGradient.collect(textures, footprint, TouchedBlocks.of(flags), mi.ArrayXf(g))
+    collected = TexelGradient.collect(textures, footprint, TouchedBlocks.of(textures, flags), mi.ArrayXf(g))
     dense = collected.dense(textures).numpy().reshape(height, width, textures.n_channels)
 
     expected = np.zeros((height, width, textures.n_channels))

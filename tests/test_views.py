@@ -232,6 +232,15 @@ def test_sixteen_film_samples_side_by_side_are_one_tile():
         assert np.all(np.ptp(c, axis=1) == 3) and np.all(c.min(axis=1) % 4 == 0)
 
 
+def test_some_film_samples_are_those_of_all():
+    cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=12, height=8))
+    for spp in (1, 3):
+        index = mi.UInt32(5, 17, 90, 191)
+        every, some = (film_samples(cameras, spp, dr.opaque(mi.UInt32, 3), i) for i in (None, index))
+        assert np.array_equal(index, [5, 17, 90, 191])
+        assert all(np.array_equal(np.array(a)[np.array(index)], np.array(b)) for a, b in zip(every, some, strict=True))
+
+
 def test_films_of_any_height_are_covered():
     cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=5, height=7))
     assert np.array_equal(np.sort(np.array(film_samples(cameras, 1, dr.opaque(mi.UInt32, 3))[0])), np.arange(70))

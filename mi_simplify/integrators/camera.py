@@ -111,9 +111,9 @@ def film_samples(
     k = mi.Float(index - place * spp) if spp > 1 else mi.Float(0)
     tile = 4 if cameras.height % 4 == 0 else 1
     strip = place // (tile * cameras.width)
-    place -= strip * (tile * cameras.width)
-    column = place // tile
-    row = strip * tile + (place - column * tile)
+    within = place - strip * (tile * cameras.width)
+    column = within // tile
+    row = strip * tile + (within - column * tile)
     pixel = row * cameras.width + column
     # The usual four rounds leave the shifts of neighbouring pixels correlated (0.45) and uneven.
     shift_x, shift_y = mi.sample_tea_32(pixel, seed, 6)
@@ -124,3 +124,26 @@ def film_samples(
     x = mi.Float(column) + (jx - dr.floor(jx))
     y = mi.Float(row - view * cameras.height) + (jy - dr.floor(jy))
     return pixel, view, x, y
+
+
+@dataclass
+class FilmRays:
+    """
+    The camera rays of a batch, ``spp`` consecutive ones a pixel, see :func:`film_samples`.
+    """
+
+    cameras: Cameras
+    spp: int
+    seed: mi.UInt32
+
+    def __len__(self) -> int:
+        return self.cameras.n_pixels * self.spp
+
+    def at(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.Point3f, mi.Vector3f]:
+        """View, origin and unit direction of some of the rays."""
+        _, view, x, y = film_samples(self.cameras, self.spp, self.seed, index)
+        return view, *self.cameras.ray(view, x, y)
+
+    def pixel(self, index: mi.UInt32) -> mi.UInt32:
+        """Pixel of the batch that some of the rays belong to."""
+        return film_samples(self.cameras, self.spp, self.seed, index)[0]

@@ -3,7 +3,9 @@ The batched renderer of the fitting loop: B views of a latent surface in a few k
 
 Interior derivatives come from automatic differentiation of the deferred shading, those of visibility from samples on
 the edges across which the image jumps: two ordinary camera rays a tiny step to either side, and the difference of
-what they see. Occluded edges give zero by themselves, so no visibility test is needed.
+what they see.
+
+Rays are traced here; what is done with their hits is in functions that are traced by Dr.Jit only once.
 """
 
 from __future__ import annotations
@@ -13,45 +15,41 @@ from dataclasses import dataclass, replace
 import drjit as dr
 import mitsuba as mi
 
+from ..frozen import frozen
 from ..latent.surface import MeshTopology, Surface
-from ..latent.textures import Footprint, TexelGradient, Textures, TouchedBlocks
+from ..latent.textures import TexelGradient, Textures, TouchedBlocks
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
-from .camera import Cameras, film_samples
-from .edges import EdgeSamples, EdgeSet, edge_table
-from .gbuffer import MISS, fragment, occluded, trace
-from .shading import shade
-
-
-@dataclass
-class Lookup:
-    """
-    One texture lookup of a frame: where, and the zero that was added to it and collects its gradient.
-    """
-
-    footprint: Footprint
-    offset: mi.ArrayXf
-    touched: TouchedBlocks
+from .camera import Cameras, FilmRays
+from .edges import EdgeRays, EdgeSet, edge_table
+from .gbuffer import MISS, Hits, fragment, occluded, trace
+from .shading import shade_hits
 
 
 @dataclass
 class Frame:
     """
-    One rendered batch: its image, and what its gradient needs.
+    One rendered batch: its image, and what its derivatives need.
 
-    ``image`` holds premultiplied radiance and coverage of every pixel, width ``B·height·width``, evaluated;
-    ``samples`` and ``pixel`` are those of the camera samples that hit something, None where none did. ``packets`` and
-    ``cameras.packets`` are leaves of the graph: what gathers on them goes on to the surface and the views at the end.
+    Parameters
+    ----------
+    image : mi.Vector4f, width B·height·width
+        Premultiplied radiance and coverage of every pixel.
+    views : mi.Float
+        Packets of the cameras, attached where the views are.
+    rays : FilmRays
+        Detached.
+    hits : Hits or None
+        None where nothing was hit.
+    touched : TouchedBlocks or None
+        Of the textures; None where nothing was hit, or rendered under ``dr.suspend_grad()``.
     """
 
     image: mi.Vector4f
     views: mi.Float
-    cameras: Cameras
-    packets: mi.Float
-    samples: mi.Vector4f | None
-    pixel: mi.UInt32 | None
-    lookup: Lookup | None
-    spp: int
+    rays: FilmRays
+    hits: Hits | None = None
+    touched: TouchedBlocks | None = None
 
 
 class DeferredRenderer:
@@ -84,23 +82,9 @@ class DeferredRenderer:
         """
         self.tracer.move(positions)
 
-    def _shade(self, packets: mi.Float, textures: Textures, cameras: Cameras, view, face, ray, offset=None):
-        """
-        Radiance and coverage of rays with known hits; also the footprint of the texture lookup.
-        """
-        origin, direction = ray
-        hit = fragment(Surface(packets, self.topology.faces), face, origin, direction)
-        footprint = textures.footprint(hit.u, hit.v)
-        value = textures.lookup(footprint)
-        texels = textures.unpack(value if offset is None else value + offset)
-        light, intensity = cameras.fetch(view, 4).xyz, cameras.fetch(view, 5).xyz
-        if self.shadows:
-            intensity = dr.select(occluded(self.tracer.scene, hit, mi.Point3f(light)), 0, intensity)
-        return shade(hit, texels, direction, light, intensity, self.form), footprint
-
     def render(self, surface: Surface, textures: Textures, views: Views, *, spp: int, seed: mi.UInt32) -> Frame:
         """
-        Image of a batch; keeps the graph that :meth:`backward` needs.
+        Image of a batch.
 
         Parameters
         ----------
@@ -117,36 +101,16 @@ class DeferredRenderer:
         view see the background, so shading and its derivative run over a fraction of them.
         """
         cameras = Cameras.of(views)
-        attached = cameras.packets
-        cameras = replace(cameras, packets=dr.detach(attached))
-        if dr.grad_enabled(attached):
-            dr.enable_grad(cameras.packets)
-        packets = dr.detach(surface.packets)
-        _, view, x, y = film_samples(cameras, spp, seed)
-        face = trace(self.tracer.scene, *cameras.ray(view, x, y))[0]
-        is_hit = face != MISS
-        dr.eval(face, is_hit, packets)
-        hits = dr.compress(is_hit)
-        n_hits = dr.width(hits)
-        if n_hits == 0:
-            return Frame(dr.zeros(mi.Vector4f, cameras.n_pixels), attached, cameras, packets, None, None, None, spp)
-
-        face = dr.gather(mi.UInt32, face, hits)
-        pixel, view, x, y = film_samples(cameras, spp, seed, hits)
-        offset = dr.zeros(mi.ArrayXf, (textures.n_channels, n_hits))
-        dr.enable_grad(offset, packets)
-        samples, footprint = self._shade(packets, textures, cameras, view, face, cameras.ray(view, x, y), offset)
-        flags = TouchedBlocks.flags(textures, footprint)
-        image = dr.zeros(mi.Float, cameras.n_pixels * 4)
-        value = dr.detach(samples)
-        if spp == 1:
-            dr.scatter(image, value, pixel)
-        else:
-            dr.scatter_reduce(dr.ReduceOp.Add, image, value * (1 / spp), pixel, mode=dr.ReduceMode.Local)
-        dr.eval(image, flags)
-        image = dr.gather(mi.Vector4f, image, dr.arange(mi.UInt32, cameras.n_pixels))
-        lookup = Lookup(footprint, offset, TouchedBlocks.of(flags))
-        return Frame(image, attached, cameras, packets, samples, pixel, lookup, spp)
+        rays = FilmRays(replace(cameras, packets=dr.detach(cameras.packets)), spp, seed)
+        surface = _detached(surface)
+        _, origin, direction = rays.at(dr.arange(mi.UInt32, len(rays)))
+        face, _ = trace(self.tracer.scene, origin, direction)
+        hits = self._hits(surface, rays, face, face != MISS)
+        if hits is None:
+            return Frame(dr.zeros(mi.Vector4f, rays.cameras.n_pixels), cameras.packets, rays)
+        image, flags = _image(surface, textures, rays, hits, self.form, _gradients_wanted())
+        touched = None if flags is None else TouchedBlocks.of(textures, flags)
+        return Frame(_pixels(image, rays.cameras), cameras.packets, rays, hits, touched)
 
     def backward(
         self,
@@ -176,29 +140,22 @@ class DeferredRenderer:
         TexelGradient or None
             None where no sample hit the model.
         """
-        grad_flat = dr.ravel(grad_image)
-        dr.eval(grad_flat)
-        texel_grad = None
-        if frame.samples is not None:
-            dr.set_grad(frame.samples, dr.gather(mi.Vector4f, grad_flat, frame.pixel) * (1 / frame.spp))
-            dr.enqueue(dr.ADMode.Backward, frame.samples)
-            dr.traverse(dr.ADMode.Backward)
-            look = frame.lookup
-            texel_grad = TexelGradient.collect(textures, look.footprint, look.touched, dr.grad(look.offset))
-            packets_grad = dr.grad(frame.packets)
-            dr.eval(texel_grad.values, packets_grad)  # one kernel
+        grad, texels = dr.ravel(grad_image), None
+        views_move, by_views = dr.grad_enabled(frame.views), mi.Float(0)
+        if frame.hits is not None:
+            values, by_surface, share = _interior(
+                _detached(surface), textures, frame.rays, frame.hits, frame.touched, self.form, grad, views_move
+            )
+            texels, by_views = TexelGradient(frame.touched.blocks, values), by_views + share
             if dr.grad_enabled(surface.packets):
-                dr.set_grad(surface.packets, packets_grad)
-                dr.enqueue(dr.ADMode.Backward, surface.packets)
-                dr.traverse(dr.ADMode.Backward)
-        views_move = dr.grad_enabled(frame.views)
-        if self.edge_fraction > 0 and (views_move or dr.grad_enabled(positions)):
-            self._boundary(frame, grad_flat, textures, positions, seed)
+                _traverse(surface.packets, by_surface)
+        by_positions, share = self._boundary(frame, grad, surface, textures, positions, seed)
+        if dr.grad_enabled(positions):
+            dr.accum_grad(positions, by_positions)
+        by_views += share
         if views_move:
-            dr.set_grad(frame.views, dr.grad(frame.cameras.packets))
-            dr.enqueue(dr.ADMode.Backward, frame.views)
-            dr.traverse(dr.ADMode.Backward)
-        return texel_grad
+            _traverse(frame.views, by_views)
+        return texels
 
     def forward(
         self,
@@ -221,85 +178,157 @@ class DeferredRenderer:
         -------
         mi.Vector4f, width B·height·width
         """
-        tangent = dr.grad(positions)
-        for source, leaf in ((surface.packets, frame.packets), (frame.views, frame.cameras.packets)):
-            if dr.grad_enabled(source):
-                dr.set_grad(leaf, dr.forward_to(source))
-        rates = dr.grad(frame.cameras.packets) if dr.grad_enabled(frame.views) else None
-        image = dr.zeros(mi.Float, frame.cameras.n_pixels * 4)
-        if frame.samples is not None:
+        rays, tangent = frame.rays, dr.grad(positions)
+        moving, cameras = _detached(surface), replace(rays.cameras, packets=dr.detach(rays.cameras.packets))
+        for source, leaf in ((surface.packets, moving.packets), (frame.views, cameras.packets)):
+            dr.enable_grad(leaf)
+            dr.set_grad(leaf, dr.forward_to(source) if dr.grad_enabled(source) else 0)
+        rates = dr.grad(cameras.packets)
+        image = dr.zeros(mi.Float, cameras.n_pixels * 4)
+        if frame.hits is not None:
+            offset = dr.zeros(mi.ArrayXf, (textures.n_channels, dr.width(frame.hits.ray)))
+            dr.enable_grad(offset)
+            moved_rays = replace(rays, cameras=cameras)
+            value, footprint = shade_hits(moving, textures, moved_rays, frame.hits, self.form, offset)
             if texel_tangent is not None:
-                dr.set_grad(frame.lookup.offset, dr.detach(texel_tangent.lookup(frame.lookup.footprint)))
-            value = dr.forward_to(frame.samples) * (1 / frame.spp)
-            dr.scatter_reduce(dr.ReduceOp.Add, image, value, frame.pixel)
-        if self.edge_fraction > 0 and (rates is not None or dr.grad_enabled(positions)):
-            e, jump, pixel = self._edge_jumps(frame, textures, positions, seed)
-            if dr.grad_enabled(positions):
-                dr.set_grad(positions, tangent)
-            if rates is not None:
-                dr.set_grad(frame.cameras.packets, rates)
-            speed = dr.forward_to(self._motion(frame.cameras, positions, e))
+                dr.set_grad(offset, dr.detach(texel_tangent.lookup(footprint)))
+            value = dr.forward_to(value) * (1 / rays.spp)
+            dr.scatter_reduce(dr.ReduceOp.Add, image, value, rays.pixel(frame.hits.ray))
+        edges = self._edge_hits(frame, surface, positions, seed)
+        if edges is not None:
+            with dr.suspend_grad():
+                jump, pixel = _jumps(_detached(surface), textures, *edges, self.form)
+            leaf = mi.Float(dr.detach(positions))
+            for array, value in ((leaf, tangent), (cameras.packets, rates)):
+                dr.enable_grad(array)
+                dr.set_grad(array, value)
+            speed = dr.forward_to(edges[0].samples.motion(cameras, leaf))
             dr.scatter_reduce(dr.ReduceOp.Add, image, jump * speed, pixel)
-        return dr.gather(mi.Vector4f, image, dr.arange(mi.UInt32, frame.cameras.n_pixels))
+        return _pixels(image, cameras)
 
-    def _boundary(
-        self, frame: Frame, grad_flat: mi.Float, textures: Textures, positions: mi.Float, seed: mi.UInt32
-    ) -> None:
+    def _boundary(self, frame: Frame, grad: mi.Float, surface: Surface, textures: Textures, positions: mi.Float, seed):
         """
-        Add the gradient that moving edges have on the image, to ``positions`` and cameras.
+        Derivatives by positions and by the views' packets: the part of moving edges.
         """
-        e, jump, pixel = self._edge_jumps(frame, textures, positions, seed)
-        motion = self._motion(frame.cameras, positions, e)
-        dr.set_grad(motion, dr.dot(jump, dr.gather(mi.Vector4f, grad_flat, pixel)))
-        dr.enqueue(dr.ADMode.Backward, motion)
-        dr.traverse(dr.ADMode.Backward)
+        edges = self._edge_hits(frame, surface, positions, seed)
+        if edges is None:
+            return 0.0, 0.0
+        views_move = dr.grad_enabled(frame.views)
+        return _boundary(_detached(surface), textures, *edges, self.form, grad, dr.detach(positions), views_move)
 
-    def _edge_jumps(self, frame: Frame, textures: Textures, positions: mi.Float, seed: mi.UInt32):
+    def _edge_hits(self, frame: Frame, surface: Surface, positions: mi.Float, seed) -> tuple[EdgeRays, Hits] | None:
         """
-        Edge samples, what a pixel there gains where the edge moves by a pixel along its normal, and which pixel it is.
+        Rays to either side of samples on edges that are in view and move, and what they hit; None where there are none.
         """
-        cameras = frame.cameras
-        n = max(64, int(cameras.n_pixels * frame.spp * self.edge_fraction))
-        with dr.suspend_grad():
-            e = self.edges.sample(positions, cameras, n, seed, dr.ravel(frame.image))
-            dr.eval(e)
-            jump = self._jump(e, dr.detach(frame.packets), textures, cameras, n)
-            return e, jump * e.weight, cameras.pixel(e.view, e.x, e.y)
+        if self.edge_fraction == 0 or not (dr.grad_enabled(frame.views) or dr.grad_enabled(positions)):
+            return None
+        cameras = frame.rays.cameras
+        n = max(64, int(len(frame.rays) * self.edge_fraction))
+        samples = _edge_samples(self.edges, dr.detach(positions), cameras, n, seed, dr.ravel(frame.image))
+        rays, lane = EdgeRays(cameras, samples), dr.arange(mi.UInt32, 2 * n)
+        _, origin, direction = rays.at(lane)
+        face, t = trace(self.tracer.scene, origin, direction)
+        seen = (face != MISS) & rays.seen(lane, direction, t)
+        dr.eval(face, seen)
+        # Behind other surfaces nothing jumps, not even where an edge of theirs falls onto the same line of the image.
+        keep = (face != MISS) & (seen | dr.gather(mi.Bool, seen, lane ^ 1))
+        hits = self._hits(_detached(surface), rays, face, keep)
+        return None if hits is None else (rays, hits)
 
-    @staticmethod
-    def _motion(cameras: Cameras, positions: mi.Float, e: EdgeSamples) -> mi.Float:
+    def _hits(self, surface: Surface, rays: FilmRays | EdgeRays, face: mi.UInt32, keep: mi.Bool) -> Hits | None:
         """
-        Where edge samples lie along the normals of their edges on the film [pixels]; only the derivative matters.
+        Those of all rays that are kept; reads back how many.
+        """
+        dr.eval(face, keep)
+        ray = dr.compress(keep)
+        if dr.width(ray) == 0:
+            return None
+        if not self.shadows:
+            return Hits(ray, face, None)
+        view, origin, direction = rays.at(ray)
+        hit = fragment(surface, dr.gather(mi.UInt32, face, ray), origin, direction)
+        return Hits(ray, face, ~occluded(self.tracer.scene, hit, mi.Point3f(rays.cameras.fetch(view, 4).xyz)))
 
-        What lies on the low side gains area where this grows.
-        """
-        p = dr.lerp(dr.gather(mi.Point3f, positions, e.end0), dr.gather(mi.Point3f, positions, e.end1), e.s)
-        film = cameras.project(e.view, p)
-        return film.x * e.nx + film.y * e.ny
 
-    def _jump(self, e, packets: mi.Float, textures: Textures, cameras: Cameras, n: int) -> mi.Vector4f:
-        """
-        Radiance and coverage on the low side of each edge sample less those on its high side, width N.
-        """
-        def ray(lane):
-            # Neighbouring lanes are the two sides of one sample: nearly the same ray.
-            i = lane // 2
-            take = lambda a: dr.gather(type(a), a, i)  # noqa: E731
-            side = mi.Float(mi.Int32(lane - 2 * i) * 2 - 1) * take(e.step)
-            view = take(e.view)
-            x, y = dr.fma(side, take(e.nx), take(e.x)), dr.fma(side, take(e.ny), take(e.y))
-            return view, cameras.ray(view, x, y)
+@frozen("hits")
+def _image(surface, textures, rays, hits, form, touch):
+    """
+    Flat image of a batch, and a flag for every block of texels that it shows.
+    """
+    value, footprint = shade_hits(surface, textures, rays, hits, form)
+    image, pixel = dr.zeros(mi.Float, rays.cameras.n_pixels * 4), rays.pixel(hits.ray)
+    if rays.spp == 1:
+        dr.scatter(image, value, pixel)
+    else:
+        dr.scatter_reduce(dr.ReduceOp.Add, image, value * (1 / rays.spp), pixel, mode=dr.ReduceMode.Local)
+    return image, TouchedBlocks.flags(textures, footprint) if touch else None
 
-        _, (origin, direction) = ray(dr.arange(mi.UInt32, 2 * n))
-        face = trace(self.tracer.scene, origin, direction)[0]
-        dr.eval(face)
-        # Where both rays meet the same triangle the edge is hidden, and nothing jumps.
-        other = dr.gather(mi.UInt32, face, dr.arange(mi.UInt32, 2 * n) ^ 1)
-        sides = dr.zeros(mi.Float, 8 * n)
-        hits = dr.compress((face != MISS) & (face != other))
-        if dr.width(hits) > 0:
-            view, rays = ray(hits)
-            value, _ = self._shade(packets, textures, cameras, view, dr.gather(mi.UInt32, face, hits), rays)
-            dr.scatter(sides, value, hits)
-        lane = dr.arange(mi.UInt32, n) * 2
-        return dr.gather(mi.Vector4f, sides, lane) - dr.gather(mi.Vector4f, sides, lane + 1)
+
+@frozen("hits", "touched")
+def _interior(surface, textures, rays, hits, touched, form, grad, views_move):
+    """
+    Derivatives by the touched texels, by surface packets, and by those of the views.
+    """
+    packets, views = mi.Float(surface.packets), mi.Float(rays.cameras.packets)
+    offset = dr.zeros(mi.ArrayXf, (textures.n_channels, dr.width(hits.ray)))
+    dr.enable_grad(packets, offset)
+    if views_move:
+        dr.enable_grad(views)
+    rays = replace(rays, cameras=replace(rays.cameras, packets=views))
+    value, footprint = shade_hits(replace(surface, packets=packets), textures, rays, hits, form, offset)
+    _traverse(value, dr.gather(mi.Vector4f, grad, rays.pixel(hits.ray)) * (1 / rays.spp))
+    texels = TexelGradient.collect(textures, footprint, touched, dr.grad(offset))
+    return texels.values, dr.grad(packets), dr.grad(views) if views_move else 0.0
+
+
+@frozen()
+def _edge_samples(edges, positions, cameras, n, seed, image):
+    return edges.sample(positions, cameras, n, seed, image)
+
+
+def _jumps(surface, textures, rays, hits, form) -> tuple[mi.Vector4f, mi.UInt32]:
+    """
+    What a pixel gains where an edge moves by one pixel along its normal, and which pixel that is, for every sample.
+    """
+    e, n = rays.samples, dr.width(rays.samples.view)
+    sides = dr.zeros(mi.Float, 8 * n)
+    dr.scatter(sides, shade_hits(surface, textures, rays, hits, form)[0], hits.ray)
+    low = dr.arange(mi.UInt32, n) * 2
+    jump = dr.gather(mi.Vector4f, sides, low) - dr.gather(mi.Vector4f, sides, low + 1)
+    return jump * e.weight, rays.cameras.pixel(e.view, e.x, e.y)
+
+
+@frozen("hits")
+def _boundary(surface, textures, rays, hits, form, grad, positions, views_move):
+    """
+    Derivatives by positions and by the views' packets.
+    """
+    jump, pixel = _jumps(surface, textures, rays, hits, form)
+    positions, views = mi.Float(positions), mi.Float(rays.cameras.packets)
+    dr.enable_grad(positions)
+    if views_move:
+        dr.enable_grad(views)
+    motion = rays.samples.motion(replace(rays.cameras, packets=views), positions)
+    _traverse(motion, dr.dot(jump, dr.gather(mi.Vector4f, grad, pixel)))
+    return dr.grad(positions), dr.grad(views) if views_move else 0.0
+
+
+def _detached(surface: Surface) -> Surface:
+    return replace(surface, packets=dr.detach(surface.packets))
+
+
+def _pixels(image: mi.Float, cameras: Cameras) -> mi.Vector4f:
+    return dr.gather(mi.Vector4f, image, dr.arange(mi.UInt32, cameras.n_pixels))
+
+
+def _gradients_wanted() -> bool:
+    """Not under ``dr.suspend_grad()``."""
+    probe = mi.Float(0)
+    dr.enable_grad(probe)
+    return dr.grad_enabled(probe)
+
+
+def _traverse(array, grad) -> None:
+    dr.set_grad(array, grad)
+    dr.enqueue(dr.ADMode.Backward, array)
+    dr.traverse(dr.ADMode.Backward)

@@ -101,6 +101,7 @@ def _wound_outwards(positions: np.ndarray, faces: np.ndarray) -> bool:
     return bool((volume[np.unique(part[faces[:, 0]])] > 0).all())
 
 
+@dataclass(init=False, eq=False)
 class EdgeSet:
     """
     An edge table on the device, with its part of a step.
@@ -116,6 +117,13 @@ class EdgeSet:
         faces is seen, and none is sampled.
     """
 
+    rows: mi.UInt32
+    kind: mi.UInt32
+    faces: mi.Vector3u
+    n_edges: int
+    crease_weight: float
+    solid_box: tuple[float, ...] | None
+
     def __init__(
         self,
         table: EdgeTable,
@@ -124,23 +132,20 @@ class EdgeSet:
         crease_weight: float = 0.25,
         positions: np.ndarray | None = None,
     ):
-        self.n_edges = len(table.ends)
-        rows = np.concatenate([table.ends, table.faces], axis=1)
-        self._rows = upload(mi.UInt32, rows.ravel())
-        self._kind = upload(mi.UInt32, table.kind)
-        self._faces = upload(mi.Vector3u, position_faces)
-        self._crease_weight = crease_weight
-        self._solid_box = None
+        self.n_edges, self.crease_weight, self.solid_box = len(table.ends), crease_weight, None
+        self.rows = upload(mi.UInt32, np.concatenate([table.ends, table.faces], axis=1).ravel())
+        self.kind = upload(mi.UInt32, table.kind)
+        self.faces = upload(mi.Vector3u, position_faces)
         if positions is not None and table.closed and _wound_outwards(positions, position_faces):
             low, high = positions.min(0), positions.max(0)
             margin = 0.1 * np.linalg.norm(high - low)  # for what the mesh grows by later
-            self._solid_box = [mi.ScalarPoint3f((c + s * margin).tolist()) for c, s in ((low, -1), (high, 1))]
+            self.solid_box = (*(low - margin).tolist(), *(high + margin).tolist())
 
     def _planes(self, positions: mi.Float) -> mi.Float:
         """
         Face planes ``(n, -n·p)`` in packets of four; the sign of ``n·o - n·p`` says which side ``o`` is on.
         """
-        p = [dr.gather(mi.Point3f, positions, i) for i in self._faces]
+        p = [dr.gather(mi.Point3f, positions, i) for i in self.faces]
         n = dr.cross(p[1] - p[0], p[2] - p[0])
         return dr.ravel(mi.Vector4f(n.x, n.y, n.z, -dr.dot(n, mi.Vector3f(p[0]))))
 
@@ -207,6 +212,7 @@ class EdgeSet:
             ny=segment.ny,
             weight=dr.select(valid, sum_ / (n_samples * density), 0),
             step=max(cameras.width, cameras.height) * dr.maximum(_STEP_FILM, _STEP_WORLD * magnitude),
+            depth=depth,
         )
 
     def _density(self, planes: mi.Float, cameras: Cameras, view, segment) -> mi.Float:
@@ -218,19 +224,19 @@ class EdgeSet:
         for f in (segment.face0, segment.face1):
             plane = dr.gather(mi.Vector4f, planes, f)
             side.append(dr.dot(plane.xyz, o) + plane.w > 0)
-        kind = dr.gather(mi.UInt32, self._kind, segment.edge)
+        kind = dr.gather(mi.UInt32, self.kind, segment.edge)
         weight = dr.select((side[0] != side[1]) | (kind == OPEN), mi.Float(1), 0)
-        weight = dr.select((weight == 0) & (kind == CREASE), self._crease_weight, weight)
-        if self._solid_box is None:
+        weight = dr.select((weight == 0) & (kind == CREASE), self.crease_weight, weight)
+        if self.solid_box is None:
             return weight
-        low, high = self._solid_box
+        low, high = mi.ScalarPoint3f(self.solid_box[:3]), mi.ScalarPoint3f(self.solid_box[3:])
         return dr.select(side[0] | side[1] | dr.all((o > low) & (o < high)), weight, 0)
 
     def _segment(self, positions: mi.Float, cameras: Cameras, view: mi.UInt32, edge: mi.UInt32):
         """
         The part of an edge in front of the camera and inside the film.
         """
-        row = dr.gather(mi.Vector4u, self._rows, edge)
+        row = dr.gather(mi.Vector4u, self.rows, edge)
         p = [dr.gather(mi.Point3f, positions, i) for i in (row.x, row.y)]
         o = cameras.fetch(view, 0)
         axes = [cameras.fetch(view, k).xyz for k in (1, 2, 3)]
@@ -320,7 +326,7 @@ class EdgeSamples:
 
     ``end0 end1`` are positions, ``s`` the fraction between them, (x, y) the film position [pixels], (nx, ny) the unit
     normal of the edge on the film, ``weight`` the edge length [pixels] that the sample stands for, ``step`` how far off
-    the edge [pixels] either side is looked at.
+    the edge [pixels] either side is looked at, ``depth`` is along the view axis.
     """
 
     view: mi.UInt32
@@ -333,3 +339,45 @@ class EdgeSamples:
     ny: mi.Float
     weight: mi.Float
     step: mi.Float
+    depth: mi.Float
+
+    def motion(self, cameras: Cameras, positions: mi.Float) -> mi.Float:
+        """
+        Where the samples lie along the normals of their edges on the film [pixels]; only the derivative matters.
+
+        What lies on the low side gains area where this grows.
+        """
+        p = dr.lerp(dr.gather(mi.Point3f, positions, self.end0), dr.gather(mi.Point3f, positions, self.end1), self.s)
+        film = cameras.project(self.view, p)
+        return film.x * self.nx + film.y * self.ny
+
+
+@dataclass
+class EdgeRays:
+    """
+    Camera rays that pass edge samples: ray 2i on the low side of sample i, ray 2i + 1, nearly the same, on the high
+    side.
+    """
+
+    cameras: Cameras
+    samples: EdgeSamples
+
+    def at(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.Point3f, mi.Vector3f]:
+        """View, origin and unit direction of some of the rays."""
+        e, i = self.samples, index // 2
+        take = lambda a: dr.gather(type(a), a, i)  # noqa: E731
+        side = mi.Float(mi.Int32(index - 2 * i) * 2 - 1) * take(e.step)
+        view = take(e.view)
+        x, y = dr.fma(side, take(e.nx), take(e.x)), dr.fma(side, take(e.ny), take(e.y))
+        return view, *self.cameras.ray(view, x, y)
+
+    def seen(self, index: mi.UInt32, direction: mi.Vector3f, t: mi.Float) -> mi.Bool:
+        """
+        Whether hits at distances ``t`` along rays of these directions lie at the edge, and not before or behind it.
+        """
+        view, depth = (dr.gather(type(a), a, index // 2) for a in (self.samples.view, self.samples.depth))
+        return dr.abs(t * dr.dot(direction, self.cameras.fetch(view, 3).xyz) - depth) < _AT_EDGE * depth
+
+
+#: A ray meets an edge where its hit is closer to it than this fraction of its depth.
+_AT_EDGE = 1e-3

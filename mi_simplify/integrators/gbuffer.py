@@ -18,6 +18,26 @@ MISS = 0xFFFFFFFF
 
 
 @dataclass
+class Hits:
+    """
+    What some rays met, found once and detached.
+
+    Parameters
+    ----------
+    ray : mi.UInt32, width N
+        Which of the rays that were traced.
+    face : mi.UInt32
+        Triangle of *every* ray that was traced.
+    lit : mi.Bool, width N, optional
+        Whether the light reaches the hit; without shadows None.
+    """
+
+    ray: mi.UInt32
+    face: mi.UInt32
+    lit: mi.Bool | None
+
+
+@dataclass
 class Fragment:
     """
     Surface attributes where a ray meets a known triangle; all follow the surface along the *fixed* ray.

@@ -8,8 +8,9 @@ import drjit as dr
 import mitsuba as mi
 
 from ..bsdfs import microfacet
-from ..latent.textures import Texels
-from .gbuffer import Fragment
+from ..latent.surface import Surface
+from ..latent.textures import Footprint, Texels, Textures
+from .gbuffer import Fragment, Hits, fragment
 
 
 def mapped_normal(hit: Fragment, normal: mi.Vector3f, wi: mi.Vector3f) -> mi.Vector3f:
@@ -63,3 +64,32 @@ def shade(
     radiance = value * mi.Color3f(light_intensity) * inv_d2 * texels.opacity
     out = mi.Vector4f(radiance.x, radiance.y, radiance.z, texels.opacity)
     return dr.select(hit.active, out, 0)
+
+
+def shade_hits(
+    surface: Surface, textures: Textures, rays, hits: Hits, form: str, offset: mi.ArrayXf | None = None
+) -> tuple[mi.Vector4f, Footprint]:
+    """
+    Radiance and coverage of rays with known hits.
+
+    Parameters
+    ----------
+    rays : FilmRays or EdgeRays
+    offset : mi.ArrayXf, shape (channels, N), optional
+        Added to what is looked up in the textures.
+
+    Returns
+    -------
+    value : mi.Vector4f, width N
+    footprint : Footprint
+        Of the texture lookup.
+    """
+    view, origin, direction = rays.at(hits.ray)
+    hit = fragment(surface, dr.gather(mi.UInt32, hits.face, hits.ray), origin, direction)
+    footprint = textures.footprint(hit.u, hit.v)
+    looked_up = textures.lookup(footprint)
+    texels = textures.unpack(looked_up if offset is None else looked_up + offset)
+    light, intensity = rays.cameras.fetch(view, 4).xyz, rays.cameras.fetch(view, 5).xyz
+    if hits.lit is not None:
+        intensity = dr.select(hits.lit, intensity, 0)
+    return shade(hit, texels, direction, light, intensity, form), footprint

@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..frozen import frozen
 from ..upload import upload
 from .model import Mesh
 from .tangents import face_tangents, split_mirrored
@@ -63,10 +64,7 @@ class MeshTopology:
 @dataclass
 class _Stencil:
     """
-    What vertex data are made of the positions with; a PyTree, so that frozen functions take it as an argument.
-
-    A frozen function allocates what it allocated when it was recorded, whatever the size of its arguments, but is
-    recorded anew where a plain number among them changes: all sizes are here.
+    What vertex data are made of the positions with.
     """
 
     position_index: mi.UInt32  # (V,)
@@ -79,9 +77,7 @@ class _Stencil:
     has_tangent: mi.Bool  # (F,)
     handedness: mi.Float  # (V,)
     uv: mi.Vector2f  # (V,)
-    n_faces: int
     n_normals: int
-    n_positions: int
     n_vertices: int
 
     @staticmethod
@@ -104,9 +100,7 @@ class _Stencil:
             has_tangent=upload(mi.Bool, sign != 0),
             handedness=upload(mi.Float, handedness),
             uv=upload(mi.Vector2f, mesh.uvs),
-            n_faces=len(mesh.faces),
             n_normals=int(groups.max()) + 1,
-            n_positions=len(mesh.positions),
             n_vertices=len(mesh.uvs),
         )
 
@@ -168,12 +162,12 @@ class _PacketsOp(dr.CustomOp):
         return "Packets"
 
 
-@dr.freeze
+@frozen()
 def _packets(stencil, positions):
     return stencil.packets(positions)
 
 
-@dr.freeze
+@frozen()
 def _packets_forward(stencil, positions, grad):
     positions = mi.Float(positions)
     dr.enable_grad(positions)
@@ -184,7 +178,7 @@ def _packets_forward(stencil, positions, grad):
     return dr.grad(packets)
 
 
-@dr.freeze
+@frozen()
 def _packets_backward(stencil, positions, grad):
     positions = mi.Float(positions)
     dr.enable_grad(positions)

@@ -51,11 +51,12 @@ BLOCK = 16
 @dataclass
 class TouchedBlocks:
     """
-    The blocks that some lookups read, ascending, and where each stands in that list.
+    The blocks that some lookups read, ascending; where each stands in that list; how many there is room for.
     """
 
     blocks: mi.UInt32
     slot: mi.UInt32
+    room: int
 
     @staticmethod
     def flags(textures: Textures, footprint: Footprint) -> mi.UInt32:
@@ -68,7 +69,7 @@ class TouchedBlocks:
         return flags
 
     @staticmethod
-    def of(flags: mi.UInt32) -> TouchedBlocks:
+    def of(textures: Textures, flags: mi.UInt32) -> TouchedBlocks:
         """
         The list; reads its length back.
         """
@@ -76,7 +77,7 @@ class TouchedBlocks:
         slot = dr.empty(mi.UInt32, dr.width(flags))
         dr.scatter(slot, dr.arange(mi.UInt32, dr.width(blocks)), blocks)
         dr.eval(slot)
-        return TouchedBlocks(blocks, slot)
+        return TouchedBlocks(blocks, slot, textures.gradient_room(dr.width(blocks)))
 
 
 @dataclass
@@ -104,7 +105,7 @@ class TexelGradient:
         The sum is a pending side effect: evaluate ``values`` with what else the kernel computes. Cost grows with the
         texels touched, not with those there are.
         """
-        values = dr.zeros(mi.Float, textures.gradient_room(dr.width(blocks.blocks)) * BLOCK * textures.n_channels)
+        values = dr.zeros(mi.Float, blocks.room * BLOCK * textures.n_channels)
         fx, fy = dr.detach(footprint.fx), dr.detach(footprint.fy)
         weights = ((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy)
         for i, w in zip(footprint.index, weights, strict=True):
@@ -131,6 +132,7 @@ class TexelGradient:
         return dr.ravel(dr.gather(mi.ArrayXf, out, place, shape=(n, textures.n_texels)))
 
 
+@dataclass(init=False, eq=False)
 class Textures:
     """
     Packed base colour, roughness, metalness, normal and, on request, opacity and γ.
@@ -144,6 +146,11 @@ class Textures:
     extended : bool
         Keep opacity and γ; else they are 1 and 0.
     """
+
+    data: mi.Float
+    height: int
+    width: int
+    n_channels: int
 
     def __init__(self, base_color: np.ndarray, specular: np.ndarray, normal: np.ndarray, extended: bool = False):
         self.height, self.width = base_color.shape[:2]

@@ -1,0 +1,53 @@
+"""
+Functions that are traced once: ``dr.freeze`` where it is safe.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+
+import drjit as dr
+
+
+def frozen(*varying: str):
+    """
+    Record the kernels of a function at its first call and replay them from then on, which costs no tracing.
+
+    A replay allocates what the recording allocated. ``dr.freeze`` by itself replays for arguments of any width, and
+    kernels then write past the end of buffers that were made for another mesh; a function decorated with this is
+    recorded anew where an argument has a width or a plain number that it never had.
+
+    Parameters
+    ----------
+    varying : str
+        Parameters whose arrays may have any width all the same: those that no *buffer* of the function is as wide as
+        (results are no buffers, nor what is gathered).
+
+    Notes
+    -----
+    Arguments are positional: Dr.Jit arrays, dataclasses of them, plain values. Objects of other kinds are told apart by
+    identity, and their arrays must not be used. Rays are not traced in it: every change of the scene would be recorded
+    anew.
+    """
+
+    def decorate(function):
+        names = list(inspect.signature(function).parameters)
+
+        def widths(*args):
+            return [_widths(a) for name, a in zip(names, args, strict=True) if name not in varying]
+
+        return dr.freeze(function, state_fn=widths, warn_after=1000)
+
+    return decorate
+
+
+def _widths(value):
+    """
+    Widths of all arrays in a value.
+    """
+    if dr.is_array_v(value):
+        return dr.width(value)
+    if dataclasses.is_dataclass(value):
+        return [_widths(getattr(value, f.name)) for f in dataclasses.fields(value)]
+    return None
