@@ -28,7 +28,8 @@ def upload(kind: type, array: np.ndarray):
     Waits for the device.
     """
     t = dr.VarType
-    scalar = {t.Float32: np.float32, t.UInt32: np.uint32, t.Int32: np.int32, t.Bool: np.bool_}[dr.type_v(kind)]
+    scalars = {t.Float32: np.float32, t.Float16: np.float16, t.UInt32: np.uint32, t.Int32: np.int32, t.Bool: np.bool_}
+    scalar = scalars[dr.type_v(kind)]
     borrowed = kind(np.ascontiguousarray(np.asarray(array).T, dtype=scalar))
     copied = dr.select(dr.opaque(mi.Bool, True), borrowed, dr.zeros(kind))
     dr.eval(copied)

@@ -33,7 +33,7 @@ def pool(capacity=5, seed=0, reference=None, **kwargs):
 
 def held(p):
     """Which images the pool holds."""
-    return sorted(int(i[0, 0, 0]) for i in p._images)
+    return sorted(int(i.flat[0]) for i in p._images)
 
 
 def batch(p, n):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -66,9 +67,10 @@ class ViewPool:
             images = np.concatenate([images, self.residual.render(views, seed)], axis=3)
         # A point light in a mirror is brighter than half precision goes, and infinity would spread to everything.
         images = np.clip(images, -_HALF_MAX, _HALF_MAX).astype(np.float16)
+        planes = np.moveaxis(images, 3, 1).reshape(n, images.shape[3], -1)
         arrays = views.arrays()
         for k in range(n):
-            view, image = {key: value[k] for key, value in arrays.items()}, images[k].copy()
+            view, image = {key: value[k] for key, value in arrays.items()}, planes[k].copy()
             if len(self._images) < self.capacity:
                 self._views.append(view)
                 self._images.append(image)
@@ -84,7 +86,8 @@ class ViewPool:
         pick = self.rng.choice(len(self._images), size=n, replace=len(self._images) < n)
         arrays = {key: np.stack([self._views[i][key] for i in pick]) for key in self._views[0]}
         views = Views.from_arrays(arrays, self.resolution, self.resolution)
-        images = np.stack([self._images[i] for i in pick]).astype(np.float32)
-        rows = images.reshape(-1, images.shape[-1])
-        residual = mi.Vector4f(0) if self.residual is None else upload(mi.Vector4f, rows[:, 4:])
-        return views, upload(mi.Vector4f, rows[:, :4]), residual
+        planes = np.stack([self._images[i] for i in pick], axis=1)  # (4 or 8, n, H·W)
+        planes = planes.reshape(len(planes), -1)
+        half = dr.float16_array_t(mi.Vector4f)  # kernels that read it convert
+        residual = mi.Vector4f(0) if self.residual is None else mi.Vector4f(upload(half, planes[4:].T))
+        return views, mi.Vector4f(upload(half, planes[:4].T)), residual
