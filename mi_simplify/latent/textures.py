@@ -64,8 +64,12 @@ class TouchedBlocks:
         One flag a block; a pending side effect of the caller's next kernel.
         """
         flags = dr.zeros(mi.UInt32, textures.n_stored // BLOCK)
-        for i in footprint.index:
-            dr.scatter_reduce(dr.ReduceOp.Or, flags, mi.UInt32(1), i // BLOCK)  # plain scatters would be a kernel each
+        blocks = [i // BLOCK for i in footprint.index]
+        for k, block in enumerate(blocks):
+            is_new = mi.Bool(True)
+            for earlier in blocks[:k]:
+                is_new &= block != earlier
+            dr.scatter_reduce(dr.ReduceOp.Or, flags, mi.UInt32(1), block, is_new)  # plain ones would be a kernel each
         return flags
 
     @staticmethod
