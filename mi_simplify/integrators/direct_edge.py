@@ -14,6 +14,12 @@ from .scene_edges import SceneEdges, lights_move, sensor_cameras
 
 log = logging.getLogger("mi_simplify")
 
+#: Where the next layer begins behind a surface, as a fraction of the coordinates: a few units in the last place.
+_LAYER_STEP = 5e-7
+
+#: How much farther off an edge either side is looked at with layers, so that the next one is beyond :data:`_LAYER_STEP`.
+_LAYER_WIDTH = 8
+
 #: A ray meets an edge where its hit is closer to it than this fraction of its distance.
 _NEAR = 1e-3
 
@@ -77,7 +83,10 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         if near is not None:
             reach2 = dr.squared_norm(near - ray.o) * _NEAR**2
         for layer in range(self.layers):
-            si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=layer == 0, active=alive)
+            if layer == 0:
+                si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True, active=alive)
+            else:
+                si, ray = self._behind(scene, ray, si, alive)
             if not self.hide_emitters:
                 radiance += dr.select(alive, through * si.emitter(scene).eval(si, alive), 0)
             alive &= si.is_valid()
@@ -93,13 +102,31 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             if self.layers > 1:
                 through *= dr.select(alive, bsdf.eval_null_transmission(si, alive), 1)
                 alive &= dr.max(dr.detach(through)) > 1e-4
-                # Along the ray itself: `spawn_ray` steps off it by more than the width of an edge sample.
-                t = dr.detach(si.t) + mi.math.RayEpsilon * (1 + dr.max(dr.abs(dr.detach(si.p))))
-                ray = mi.Ray3f(dr.fma(ray.d, dr.select(alive, t, 0), ray.o), ray.d, ray.time, ray.wavelengths)
             else:
                 through = dr.select(alive, 0, through)
         coverage = 1 - dr.mean(through)
         return radiance, valid, [coverage], is_near
+
+    @staticmethod
+    def _behind(scene, ray, si, active):
+        """
+        What a ray meets next after ``si``, and the ray from there on.
+
+        Along the ray itself: `spawn_ray` steps off it by more than the width of an edge sample. And hardly any farther:
+        beside a silhouette the back of an object is as near to its front.
+        """
+        scale = dr.maximum(dr.max(dr.abs(dr.detach(ray.o))), dr.max(dr.abs(dr.detach(si.p))))
+        t = dr.select(active, dr.detach(si.t), 0)
+
+        def meet(step, active):
+            onward = mi.Ray3f(dr.fma(ray.d, t + step * scale, ray.o), ray.d, ray.time, ray.wavelengths)
+            return scene.ray_intersect(onward, ray_flags=mi.RayFlags.All, coherent=False, active=active), onward
+
+        found, onward = meet(_LAYER_STEP, active)
+        is_same = active & found.is_valid() & (found.prim_index == si.prim_index) & (found.shape == si.shape)
+        other, farther = meet(mi.math.RayEpsilon, is_same)
+        onward.o = dr.select(is_same, farther.o, onward.o)
+        return dr.select(is_same, other, found), onward
 
     def _splat(self, film, sensor, scene, seed, spp, mode):
         """
@@ -158,7 +185,8 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             flat = dr.detach(cameras)
             p = self._edges.point(positions, e)
             sides, visible = [], mi.Bool(False)
-            for s in (-e.step, e.step):
+            step = e.step * (_LAYER_WIDTH if self.layers > 1 else 1)
+            for s in (-step, step):
                 sampler = mi.load_dict({"type": "independent"})
                 sampler.seed(opaque_seed, n)  # the same light samples on both sides
                 origin, direction = flat.ray(e.view, e.x + s * e.nx, e.y + s * e.ny)
