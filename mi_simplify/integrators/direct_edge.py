@@ -17,7 +17,7 @@ log = logging.getLogger("mi_simplify")
 #: Where the next layer begins behind a surface, as a fraction of the coordinates: a few units in the last place.
 _LAYER_STEP = 5e-7
 
-#: How much farther off an edge either side is looked at with layers, so that the next one is beyond :data:`_LAYER_STEP`.
+#: How much farther off an edge either side is looked at with layers: the next one must be beyond :data:`_LAYER_STEP`.
 _LAYER_WIDTH = 8
 
 #: A ray meets an edge where its hit is closer to it than this fraction of its distance.
