@@ -115,10 +115,18 @@ def main() -> None:
     wanted = [name.strip() for name in args.only.split(",")] if args.only else None
     mi.set_log_level(mi.LogLevel.Error)
 
-    begin, body, promised = time.time(), [], []
+    begin, body, promised, noise = time.time(), [], [], []
+
+    def write() -> None:  # after every case: a run that is stopped has written what it measured
+        if not args.dry:
+            passed = sum(p.passes for p in promised)
+            text = page(body, noise, passed, len(promised))
+            (ROOT / "docs" / "gradients.md").write_text(text, encoding="utf-8")
+
     for section, cases in SECTIONS.items():
         print(f"\n{section}\n{HEAD}")
         rows = []
+        body.append((section, rows))
         for case in cases():
             if wanted is not None and case.title not in wanted:
                 continue
@@ -127,14 +135,13 @@ def main() -> None:
             print("\n".join(row(p) for p in pairs), flush=True)
             if section in PROMISED:
                 promised += pairs
-        body.append((section, rows))
+            write()
     names = [n for n in scenes.NAMES if wanted is None or n in wanted]
     print("\nscene, noise of ours, of direct_projective, ratio of variances, noise of the batched renderer")
-    noise = noise_rows(names)
+    noise += noise_rows(names)
     passed = sum(p.passes for p in promised)
     print(f"\n{passed} of {len(promised)} promised pairs pass, {time.time() - begin:.0f} s")
-    if not args.dry:
-        (ROOT / "docs" / "gradients.md").write_text(page(body, noise, passed, len(promised)), encoding="utf-8")
+    write()
 
 
 def page(body: list[tuple[str, list[str]]], noise: list[str], passed: int, total: int) -> str:
@@ -152,7 +159,7 @@ def page(body: list[tuple[str, list[str]]], noise: list[str], passed: int, total
                 "## Noise of the vertex gradient",
                 "",
                 "Standard deviation over length of the gradient by all positions (vertices split by UV seams summed),"
-                " colour alone, box filter, at equal sample counts: 64 camera samples and 16 boundary samples a pixel; the"
+                " colour alone, box filter, at equal sample counts: 64 camera and 16 boundary samples a pixel; the"
                 " batched renderer takes 64 and 9.6, of two views.",
                 "",
                 "| scene | plugin | `direct_projective` | its variance over ours | batched renderer |",

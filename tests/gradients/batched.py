@@ -96,7 +96,7 @@ class Batched:
                 value = dr.grad(leaf).numpy()
                 out[name] = value.reshape(-1, 3) if name == "positions" else value.T
         n = self.scene.n_texels
-        packed = texels.dense(textures).numpy().reshape(n, n, -1)
+        packed = np.zeros((n, n, 12)) if texels is None else texels.dense(textures).numpy().reshape(n, n, -1)
         for name, (low, high) in _CHANNELS.items():
             if name in attach:
                 out[name] = packed[..., low:high]

@@ -108,17 +108,17 @@ def _plugin() -> list[Case]:
 
 
 def _variations() -> list[Case]:
-    def case(title: str, scene: str, only=_FEW, **options) -> Case:
-        return Case(title, scene, lambda s: Plugin(s, headlight=False, **options), only)
+    def case(title: str, scene: str, only=_FEW, emitter=lambda: None, **options) -> Case:
+        return Case(title, scene, lambda s: Plugin(s, headlight=False, emitter=emitter(), **options), only)
 
     layers = (*_FEW, "texels opacity", "along normals")
     return [
         case("two objects, Gaussian filter", "two objects", rfilter="gaussian"),
         case("cut by the border, Gaussian filter", "cut by the border", rfilter="gaussian"),
         case("small on a wide film", "small on a wide film"),
-        case("two objects, environment map", "two objects", emitter=_sky()),
-        case("hides itself, area light", "hides itself", emitter=_lamp()),
-        case("smooth, directional light", "smooth, seams", emitter=_sun()),
+        case("two objects, environment map", "two objects", emitter=_sky, matte=True),
+        case("hides itself, area light", "hides itself", emitter=_lamp, matte=True),
+        case("smooth, directional light", "smooth, seams", emitter=_sun),
         case("two objects, 1 layer", "two objects", layers, layers=1),
         case("two objects, 2 layers", "two objects", layers, layers=2),
         case("two objects, 8 layers", "two objects", layers, layers=8),

@@ -39,14 +39,21 @@ class Plugin:
         Of `direct_edge`.
     bsdf : dict, optional
         Instead of `ggx_gamma` with the state's textures.
+    matte : bool
+        Rough dielectric textures, so that lights sampled at random leave little noise.
     """
 
-    def __init__(self, scene: Scene, *, headlight=True, rfilter="box", emitter=None, layers=1, bsdf=None, **options):
+    def __init__(
+        self, scene: Scene, *, headlight=True, rfilter="box", emitter=None, layers=1, bsdf=None, matte=False, **options
+    ):
         self.scene = scene
         self.start = scene.state(headlight, n_views=1)
         self.views = scene.views(headlight)
         self.bsdf = bsdf
         self.has_light = emitter is None
+        if matte:
+            for name, value in (("roughness", 0.8), ("metallic", 0.0)):
+                self.start[name] = value + 0.2 * self.start[name]
         if bsdf is not None:
             self.start = {k: v for k, v in self.start.items() if k not in PLANES and k != "normal"}
         if emitter is not None:

@@ -1,0 +1,94 @@
+"""
+Gradients of the `direct_edge` plugin through ``mi.render``: a slice here, all of it under `make slow`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from . import scenes
+from .batched import Batched
+from .cases import PROMISED, SECTIONS
+from .finite_difference import along, compare
+from .plugin import Plugin
+from .scenes import Scene, film_weights, parameters
+
+_QUICK = {"spp": 256, "gradient_spp": 16, "target": 0.006, "rounds": (4, 12)}
+
+
+@pytest.fixture(autouse=True)
+def quiet():
+    """Mitsuba's samplers warn about sample counts that they round."""
+    level = mi.logger().log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    yield
+    mi.set_log_level(level)
+
+
+def _check(renderer: Plugin, scene: Scene, names: tuple[str, ...], **options) -> None:
+    wanted = [p for p in parameters(scene, renderer.start) if p.name in names]
+    pairs = compare(renderer, scene.name, wanted, film_weights(scene, 1), **(_QUICK | options))
+    quiet = [p for p in pairs if p.noise < 0.01]
+    assert len(quiet) >= len(names) - 1, [str(p) for p in pairs if p not in quiet]
+    assert not [str(p) for p in quiet if not p.passes]
+
+
+@pytest.mark.parametrize("name, rfilter", [("cube", "box"), ("two objects", "gaussian")])
+def test_slice(name, rfilter):
+    scene = scenes.scene(name)
+    _check(Plugin(scene, rfilter=rfilter), scene, ("translation x", "scale", "rotation", "texels normal"))
+
+
+def test_layers():
+    """What lies behind translucent faces, and how the camera moves over it."""
+    scene = scenes.scene("hides itself")
+    names = ("translation x", "translation y", "camera position", "texels opacity")
+    _check(Plugin(scene, headlight=False, layers=4), scene, names)
+
+
+def test_symmetry_plane_through_the_camera():
+    """Hidden edges that fall onto the line of a visible one must not count its jump again."""
+    scene = scenes.scene("smooth, seams")
+    camera = scene.camera | {
+        "origin": np.array([[0, 0.6, -3.0]]),
+        "target": (0.0, -0.02, 0.01),
+        "light": [[0, 2, -3.0]],
+    }
+    scene = dataclasses.replace(scene, camera=camera, film=(63, 48))
+    _check(Plugin(scene), scene, ("translation x", "camera position", "translation y"), spp=1024)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("section, index", [(s, i) for s in PROMISED[1:] for i in range({"Plugin": 9}.get(s, 11))])
+def test_every_pair(section, index):
+    cases = SECTIONS[section]()
+    if index >= len(cases):
+        pytest.skip("no such case")
+    case = dataclasses.replace(cases[index], rival=False)
+    assert not [str(p) for p in case.measure() if not p.passes]
+
+
+def test_forward_mode_equals_backward_mode():
+    scene = scenes.scene("two objects")
+    renderer, adjoint = Plugin(scene), film_weights(scene, 1)
+    gradient = renderer.gradient(adjoint, 4, 5)
+    for parameter in parameters(scene, renderer.start):
+        if parameter.name in ("rotation", "one vertex", "camera position", "texels opacity", "light position"):
+            image = renderer.derivative(parameter.direction, 4, 5).astype(np.float64)
+            expected = along(gradient, parameter.direction)
+            assert np.sum(image * adjoint) == pytest.approx(expected, rel=1e-4), parameter.name
+
+
+def test_both_renderers_show_the_same():
+    """Box filter, one layer, light off the camera: the colours of the two renderers agree but for noise."""
+    scene = scenes.scene("cube")  # hard edges: Mitsuba computes normals per split vertex, which shows along UV seams
+    plain, batched = Plugin(scene, headlight=False), Batched(scene)
+    for renderer in (plain, batched):
+        renderer.start["normal"][:] = [0, 0, 1]  # Mitsuba's tangent is that of the face
+    here, there = (r.image(r.start, 64, 1)[0, ..., :3] for r in (plain, batched))
+    assert np.abs(here - there).mean() < 0.01 * there.mean()
