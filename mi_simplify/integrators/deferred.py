@@ -21,7 +21,8 @@ from ..latent.textures import TexelGradient, Textures, TouchedBlocks
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
 from .camera import Cameras, FilmRays
-from .edges import EdgeRays, EdgeSet, edge_table
+from .edge_samples import EdgeRays, EdgeSet
+from .edges import edge_table
 from .gbuffer import MISS, Hits, fragment, occluded, trace
 from .shading import shade_hits
 

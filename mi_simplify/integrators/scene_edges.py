@@ -14,7 +14,8 @@ from ..scenes.shapes import POSITIONS, mesh_faces, mesh_positions
 from ..scenes.views import Views
 from ..upload import upload
 from .camera import Cameras
-from .edges import EdgeSamples, EdgeSet, edge_table
+from .edge_samples import EdgeSamples, EdgeSet
+from .edges import edge_table
 
 
 def sensor_cameras(sensor: mi.Sensor) -> Cameras:

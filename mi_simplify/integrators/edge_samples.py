@@ -1,0 +1,304 @@
+"""
+Samples on the edges that the views see, found anew in every step, and rays that pass them on either side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..upload import upload
+from .camera import Cameras
+from .edges import CREASE, OPEN, EdgeTable, wound_outwards
+
+
+@dataclass(init=False, eq=False)
+class EdgeSet:
+    """
+    An edge table on the device, with its part of a step.
+
+    Parameters
+    ----------
+    table : EdgeTable
+    position_faces : ndarray, shape (F, 3)
+    crease_weight : float
+        Samples a pixel of crease gets for one that a pixel of silhouette gets: jumps there are small.
+    positions : ndarray, shape (P, 3), optional
+        Of an opaque mesh: where it is a closed solid and the camera stays out of its box, no crease between two back
+        faces is seen, and none is sampled.
+    """
+
+    rows: mi.UInt32
+    kind: mi.UInt32
+    faces: mi.Vector3u
+    n_edges: int
+    crease_weight: float
+    solid_box: tuple[float, ...] | None
+
+    def __init__(
+        self,
+        table: EdgeTable,
+        position_faces: np.ndarray,
+        *,
+        crease_weight: float = 0.25,
+        positions: np.ndarray | None = None,
+    ):
+        self.n_edges, self.crease_weight, self.solid_box = len(table.ends), crease_weight, None
+        rows, kind = np.concatenate([table.ends, table.faces], axis=1), table.kind
+        if positions is not None:
+            # Edges of one place one after the other: rays of one vector visit the same boxes, 15 % of tracing them.
+            middle = positions[table.ends].mean(1)
+            cell = np.floor((middle - middle.min(0)) * (16 / max(np.ptp(middle, axis=0).max(), 1e-30)))
+            order = np.lexsort(cell.T)
+            rows, kind = rows[order], kind[order]
+        self.rows = upload(mi.UInt32, rows.ravel())
+        self.kind = upload(mi.UInt32, kind)
+        self.faces = upload(mi.Vector3u, position_faces)
+        if positions is not None and table.closed and wound_outwards(positions, position_faces):
+            low, high = positions.min(0), positions.max(0)
+            margin = 0.1 * np.linalg.norm(high - low)  # for what the mesh grows by later
+            self.solid_box = (*(low - margin).tolist(), *(high + margin).tolist())
+
+    def _planes(self, positions: mi.Float) -> mi.Float:
+        """
+        Face planes ``(n, -n·p)`` in packets of four; the sign of ``n·o - n·p`` says which side ``o`` is on.
+        """
+        p = [dr.gather(mi.Point3f, positions, i) for i in self.faces]
+        n = dr.cross(p[1] - p[0], p[2] - p[0])
+        return dr.ravel(mi.Vector4f(n.x, n.y, n.z, -dr.dot(n, mi.Vector3f(p[0]))))
+
+    def sample(
+        self, positions: mi.Float, cameras: Cameras, n_samples: int, seed: mi.UInt32, image: mi.Float | None = None
+    ) -> EdgeSamples:
+        """
+        Points on the edges in all views, spread along their length on the film.
+
+        Parameters
+        ----------
+        positions : mi.Float, width P·3
+            Welded positions, detached.
+        n_samples : int
+            How many points N; constant, so that no kernel is compiled anew.
+        image : mi.Float, width B·height·width·4, optional
+            What the views show. With it an edge gets points in proportion to how much the image differs to either side
+            of its middle, which halves the variance of a gradient; it only says where to look.
+
+        Notes
+        -----
+        Three kernels: planes of all faces; projected lengths of all (view, edge) pairs; a stratified draw from their
+        running sum. Nothing is read back.
+        """
+        positions = dr.detach(positions)
+        planes = self._planes(positions)
+        dr.eval(planes)
+        pair = dr.arange(mi.UInt32, self.n_edges * cameras.n_views)
+        view = pair // self.n_edges
+        segment = self._segment(positions, cameras, view, pair - view * self.n_edges)
+        density = self._density(planes, cameras, view, segment)
+        if image is not None:
+            density *= _contrast(image, cameras, view, segment) + _LEAST_CONTRAST
+        density = dr.select(segment.visible, density, 0)
+        weight = density * segment.length
+        dr.eval(density, weight)
+        total = dr.cumsum(weight)
+        sum_ = dr.gather(mi.Float, total, self.n_edges * cameras.n_views - 1)
+
+        lane = dr.arange(mi.UInt32, n_samples)
+        r0, r1 = mi.sample_tea_32(lane, seed, 6)  # four are uneven, see film_samples
+        target = (mi.Float(lane) + mi.Float(r0) * 2.0**-32) * (1 / n_samples) * sum_
+        n_pairs = self.n_edges * cameras.n_views
+        pair = dr.binary_search(0, n_pairs - 1, lambda i: dr.gather(mi.Float, total, i) <= target)
+        view = pair // self.n_edges
+        segment = self._segment(positions, cameras, view, pair - view * self.n_edges)
+        density = dr.gather(mi.Float, density, pair)
+        tau = mi.Float(r1) * 2.0**-32
+        iz0, iz1 = (dr.rcp(dr.maximum(z, _NEAR)) for z in (segment.z0, segment.z1))
+        depth = dr.rcp(dr.lerp(iz0, iz1, tau))
+        o = cameras.fetch(view, 0)
+        magnitude = dr.maximum(dr.max(dr.abs(o.xyz)), depth) / dr.maximum(depth * o.w, 1e-12)
+        # A point at fraction tau of the clipped segment *on the film*, then its parameter on the edge itself.
+        a = tau * segment.z0 / dr.maximum(segment.z1 + tau * (segment.z0 - segment.z1), 1e-12)
+        valid = segment.visible & (density > 0)
+        return EdgeSamples(
+            view=view,
+            end0=segment.end0,
+            end1=segment.end1,
+            s=dr.lerp(segment.s0, segment.s1, a),
+            x=dr.lerp(segment.x0, segment.x1, tau),
+            y=dr.lerp(segment.y0, segment.y1, tau),
+            nx=segment.nx,
+            ny=segment.ny,
+            weight=dr.select(valid, sum_ / (n_samples * density), 0),
+            step=max(cameras.width, cameras.height) * dr.maximum(_STEP_FILM, _STEP_WORLD * magnitude),
+            depth=depth,
+        )
+
+    def _density(self, planes: mi.Float, cameras: Cameras, view, segment) -> mi.Float:
+        """
+        Importance of a pixel of edge length: 1 for silhouettes and open edges, less for creases, else 0.
+        """
+        o = cameras.origin(view)
+        side = []
+        for f in (segment.face0, segment.face1):
+            plane = dr.gather(mi.Vector4f, planes, f)
+            side.append(dr.dot(plane.xyz, o) + plane.w > 0)
+        kind = dr.gather(mi.UInt32, self.kind, segment.edge)
+        weight = dr.select((side[0] != side[1]) | (kind == OPEN), mi.Float(1), 0)
+        weight = dr.select((weight == 0) & (kind == CREASE), self.crease_weight, weight)
+        if self.solid_box is None:
+            return weight
+        low, high = mi.ScalarPoint3f(self.solid_box[:3]), mi.ScalarPoint3f(self.solid_box[3:])
+        return dr.select(side[0] | side[1] | dr.all((o > low) & (o < high)), weight, 0)
+
+    def _segment(self, positions: mi.Float, cameras: Cameras, view: mi.UInt32, edge: mi.UInt32):
+        """
+        The part of an edge in front of the camera and inside the film.
+        """
+        row = dr.gather(mi.Vector4u, self.rows, edge)
+        p = [dr.gather(mi.Point3f, positions, i) for i in (row.x, row.y)]
+        o = cameras.fetch(view, 0)
+        axes = [cameras.fetch(view, k).xyz for k in (1, 2, 3)]
+        local = [mi.Vector3f(*[dr.dot(q - mi.Point3f(o.xyz), axis) for axis in axes]) for q in p]
+        tan_y = o.w * (cameras.height / cameras.width)
+        # Distances to the planes of the view frustum, linear along the edge (Liang and Barsky 1984).
+        margins = [
+            [q.z - _NEAR, q.z * o.w - q.x, q.z * o.w + q.x, q.z * tan_y - q.y, q.z * tan_y + q.y] for q in local
+        ]
+        s0, s1 = mi.Float(0), mi.Float(1)
+        for m0, m1 in zip(*margins, strict=True):
+            cut = m0 / dr.select(m0 != m1, m0 - m1, 1)
+            s0 = dr.select((m0 < 0) & (m1 >= 0), dr.maximum(s0, cut), s0)
+            s1 = dr.select((m0 >= 0) & (m1 < 0), dr.minimum(s1, cut), s1)
+            s1 = dr.select((m0 < 0) & (m1 < 0), -1, s1)
+        visible = s1 > s0
+        film = []
+        for s in (s0, s1):
+            q = dr.lerp(local[0], local[1], s)
+            iz = dr.rcp(dr.maximum(q.z, _NEAR))
+            x = dr.fma(q.x * iz / o.w, 0.5, 0.5) * cameras.width
+            y = dr.fma(q.y * iz / tan_y, -0.5, 0.5) * cameras.height
+            film.append((x, y, q.z))
+        (x0, y0, z0), (x1, y1, z1) = film
+        length = dr.sqrt(dr.square(x1 - x0) + dr.square(y1 - y0))
+        visible &= length > 1e-6
+        return _Segment(edge, row.x, row.y, row.z, row.w, s0, s1, x0, y0, z0, x1, y1, z1, length, visible)
+
+
+def _contrast(image: mi.Float, cameras: Cameras, view: mi.UInt32, segment: _Segment) -> mi.Float:
+    """
+    Sum over channels of how much the pixels beside the middle of a segment differ.
+    """
+    x, y = 0.5 * (segment.x0 + segment.x1), 0.5 * (segment.y0 + segment.y1)
+    low, high = (
+        dr.gather(mi.Vector4f, image, cameras.pixel(view, x + s * segment.nx, y + s * segment.ny), segment.visible)
+        for s in (-1, 1)
+    )
+    return dr.sum(dr.abs(low - high))
+
+
+#: Added to the contrast of an edge, so that those of which the image shows nothing are not forgotten.
+_LEAST_CONTRAST = 0.2
+
+#: Steps to either side of an edge that rays in float32 still resolve: as a fraction of the film, and of the larger of
+#: depth and camera coordinates. Half of either loses some jumps in rounding; ten times either steps over the next edge
+#: of a fine mesh, whose outline zigzags by little more.
+_STEP_FILM, _STEP_WORLD = 5e-7, 3e-7
+
+#: Nearest depth at which edges are followed [scene units].
+_NEAR = 1e-3
+
+
+@dataclass
+class _Segment:
+    edge: mi.UInt32
+    end0: mi.UInt32
+    end1: mi.UInt32
+    face0: mi.UInt32
+    face1: mi.UInt32
+    s0: mi.Float
+    s1: mi.Float
+    x0: mi.Float
+    y0: mi.Float
+    z0: mi.Float
+    x1: mi.Float
+    y1: mi.Float
+    z1: mi.Float
+    length: mi.Float
+    visible: mi.Bool
+
+    @property
+    def nx(self) -> mi.Float:
+        """Unit normal on the film, x."""
+        return (self.y1 - self.y0) / dr.maximum(self.length, 1e-12)
+
+    @property
+    def ny(self) -> mi.Float:
+        """Unit normal on the film, y."""
+        return (self.x0 - self.x1) / dr.maximum(self.length, 1e-12)
+
+
+@dataclass
+class EdgeSamples:
+    """
+    Points on edges as the films see them; detached.
+
+    ``end0 end1`` are positions, ``s`` the fraction between them, (x, y) the film position [pixels], (nx, ny) the unit
+    normal of the edge on the film, ``weight`` the edge length [pixels] that the sample stands for, ``step`` how far off
+    the edge [pixels] either side is looked at, ``depth`` is along the view axis.
+    """
+
+    view: mi.UInt32
+    end0: mi.UInt32
+    end1: mi.UInt32
+    s: mi.Float
+    x: mi.Float
+    y: mi.Float
+    nx: mi.Float
+    ny: mi.Float
+    weight: mi.Float
+    step: mi.Float
+    depth: mi.Float
+
+    def motion(self, cameras: Cameras, positions: mi.Float) -> mi.Float:
+        """
+        Where the samples lie along the normals of their edges on the film [pixels]; only the derivative matters.
+
+        What lies on the low side gains area where this grows.
+        """
+        p = dr.lerp(dr.gather(mi.Point3f, positions, self.end0), dr.gather(mi.Point3f, positions, self.end1), self.s)
+        film = cameras.project(self.view, p)
+        return film.x * self.nx + film.y * self.ny
+
+
+@dataclass
+class EdgeRays:
+    """
+    Camera rays that pass edge samples: ray 2i on the low side of sample i, ray 2i + 1, nearly the same, on the high
+    side.
+    """
+
+    cameras: Cameras
+    samples: EdgeSamples
+
+    def at(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.Point3f, mi.Vector3f]:
+        """View, origin and unit direction of some of the rays."""
+        e, i = self.samples, index // 2
+        take = lambda a: dr.gather(type(a), a, i)  # noqa: E731
+        side = mi.Float(mi.Int32(index - 2 * i) * 2 - 1) * take(e.step)
+        view = take(e.view)
+        x, y = dr.fma(side, take(e.nx), take(e.x)), dr.fma(side, take(e.ny), take(e.y))
+        return view, *self.cameras.ray(view, x, y)
+
+    def seen(self, index: mi.UInt32, direction: mi.Vector3f, t: mi.Float) -> mi.Bool:
+        """
+        Whether hits at distances ``t`` along rays of these directions lie at the edge, and not before or behind it.
+        """
+        view, depth = (dr.gather(type(a), a, index // 2) for a in (self.samples.view, self.samples.depth))
+        return dr.abs(t * dr.dot(direction, self.cameras.fetch(view, 3).xyz) - depth) < _AT_EDGE * depth
+
+
+#: A ray meets an edge where its hit is closer to it than this fraction of its depth.
+_AT_EDGE = 1e-3
