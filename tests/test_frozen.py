@@ -1,0 +1,60 @@
+"""Functions that are traced once: replayed where that is safe, recorded anew where it is not."""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from mi_simplify.frozen import frozen
+from mi_simplify.upload import upload
+
+
+def floats(n, seed=0):
+    return np.random.default_rng(seed).random(n).astype(np.float32)
+
+
+@dataclass
+class Table:
+    data: mi.Float
+    scale: float
+
+
+@frozen("index")
+def adjoint(table, index, weight):
+    """Of ``scale · data[index]``, as wide as the table: a buffer that the function allocates."""
+    data = mi.Float(table.data)
+    dr.enable_grad(data)
+    value = dr.gather(mi.Float, data, index) * table.scale
+    dr.set_grad(value, weight)
+    dr.enqueue(dr.ADMode.Backward, value)
+    dr.traverse(dr.ADMode.Backward)
+    return dr.grad(data)
+
+
+def check(width, n, scale=2.0):
+    index = np.random.default_rng(n).integers(0, width, n)
+    got = adjoint(Table(upload(mi.Float, floats(width)), scale), upload(mi.UInt32, index), dr.opaque(mi.Float, 0.5))
+    expected = np.bincount(index, minlength=width) * scale * 0.5
+    assert got.numpy() == pytest.approx(expected, abs=1e-5)
+
+
+def test_varying_widths_are_replayed_and_right():
+    check(40, 7)
+    before = adjoint.n_recordings
+    for n in (9, 30, 31, 100, 3, 1000):
+        check(40, n)
+    assert adjoint.n_recordings == before
+
+
+def test_other_widths_and_numbers_are_recorded_anew():
+    check(50, 20)
+    for width, scale in ((80, 2.0), (5000, 2.0), (80, 3.0)):
+        before = adjoint.n_recordings
+        check(width, 20, scale)
+        assert adjoint.n_recordings == before + 1
+    before = adjoint.n_recordings
+    for width, scale in ((50, 2.0), (80, 3.0), (5000, 2.0), (80, 2.0)):
+        check(width, 21, scale)
+    assert adjoint.n_recordings == before
