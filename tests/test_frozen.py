@@ -1,5 +1,7 @@
 """Functions that are traced once: replayed where that is safe, recorded anew where it is not."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import drjit as dr
