@@ -191,7 +191,9 @@ class Plugin:
                 else:
                     dr.set_grad(leaf, type(leaf)(*map(float, value[0])))
         # Up to the scene's parameters first: the integrator's own pass stops at them.
-        dr.enqueue(dr.ADMode.Forward, *[leaf for name in direction for leaf in leaves[name]])
+        for name in direction:
+            for leaf in leaves[name]:
+                dr.enqueue(dr.ADMode.Forward, leaf)
         dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
         image = self._render(spp, seed, integrator)
         return dr.forward_to(image).numpy()[None]
