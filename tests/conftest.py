@@ -1,6 +1,8 @@
 """Fixtures: a variant for every test, and the optional folder of real models."""
 
 import subprocess
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -48,3 +50,22 @@ def node_run():
         return done.stdout.decode()
 
     return run
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Remember how the run ended, for the hook below."""
+    session.config.stash[_STATUS] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """
+    Leave without tearing Dr.Jit down: after a whole run, all reports written, its teardown was seen to crash once.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if _STATUS in config.stash:
+        os._exit(config.stash[_STATUS])
+
+
+_STATUS = pytest.StashKey[int]()
