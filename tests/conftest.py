@@ -1,7 +1,7 @@
 """Fixtures: a variant for every test, and the optional folder of real models."""
 
-import subprocess
 import os
+import subprocess
 import sys
 from pathlib import Path
 

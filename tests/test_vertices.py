@@ -121,7 +121,8 @@ def test_positions_of_equal_coordinates_are_not_welded():
     g = np.zeros((6, 3))
     g[:3, 2] = 1
     moved = advance(steps, g)
-    assert np.allclose(moved[:3, 2], -0.01 / np.sqrt((3 + 1.5) / 6), atol=1e-5) and np.allclose(moved[3:], triangle, atol=1e-6)
+    assert np.allclose(moved[:3, 2], -0.01 / np.sqrt((3 + 1.5) / 6), atol=1e-5)
+    assert np.allclose(moved[3:], triangle, atol=1e-6)
 
 
 def test_gradients_do_not_pile_up_over_steps(mesh):

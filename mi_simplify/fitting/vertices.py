@@ -16,9 +16,9 @@ class VertexSteps:
     Positions v through ``u = (I + λL) v`` (Nicolet et al. 2021), optimised by a rotation-invariant Adam.
 
     Gradients spread over the surface, so sparse silhouette gradients move whole regions and do not crumple the mesh.
-    The second moment of a vertex is that of its gradient's length (VectorAdam, Ling et al. 2022), averaged with the mean
-    over all vertices: steps do not depend on the axes, vertices that the images say little about move little, and no
-    single noisy vertex slows down the others, as it does where all are divided by the largest (UniformAdam).
+    The second moment of a vertex is that of its gradient's length (VectorAdam, Ling et al. 2022), averaged with the
+    mean over all vertices: steps do not depend on the axes, vertices that the images say little about move little, and
+    no single noisy vertex slows down the others, as it does where all are divided by the largest (UniformAdam).
 
     Parameters
     ----------
