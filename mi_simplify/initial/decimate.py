@@ -1,18 +1,16 @@
 """
 Fewer triangles for a welded mesh: edge collapse by quadric errors, many independent edges at a time.
 
-Garland and Heckbert 1997, mostly with the memoryless quadrics of Hoppe 1999: the error of a collapse is measured
-against the triangles as they are now, weighted by area. At equal counts the surface is a third closer to the original
-than with quadrics accumulated since the beginning; a tenth of those is mixed in, because without any memory thin tips
-wear away. Works on any triangle set: open edges and edges of more than two faces carry quadrics of their own, so that
-borders and joints stay where they are.
+Garland and Heckbert 1997 with the memoryless quadrics of Hoppe 1999: the error of a collapse is measured against the
+triangles as they are now, weighted by area, and not against all planes that a vertex has ever stood for. At equal
+counts the surface is a third closer to the original than with accumulated quadrics. Works on any triangle set: open
+edges and edges of more than two faces carry quadrics of their own, so that borders and joints stay where they are.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
 
 from ..errors import MeshError
 
@@ -20,8 +18,6 @@ _CANDIDATES = 0.15
 """Share of the edges, cheapest first, that may collapse in one round."""
 _BORDER = 10.0
 """Weight of the planes that hold open and non-manifold edges in place, against a face plane of the same size."""
-_MEMORY = 0.1
-"""Share of the quadrics accumulated since the beginning."""
 _ANCHOR = 1e-4
 """Pull towards the middle of the edge where the quadric leaves a direction free, as a share of its trace."""
 _MEMORY = 0.1
@@ -41,8 +37,7 @@ def decimate(positions: np.ndarray, faces: np.ndarray, n_triangles: int) -> tupl
     faces : ndarray, shape (F, 3)
         Indices into ``positions``, wound alike; no two over the same three positions.
     n_triangles : int
-        Budget, at least 4. A small component goes as a whole where that costs less than the next collapses, and the
-        smallest ones where nothing can be collapsed any more.
+        Budget, at least 4. Where a collapse would fold or pinch the surface everywhere, small components go as a whole.
 
     Returns
     -------
@@ -63,16 +58,14 @@ def decimate(positions: np.ndarray, faces: np.ndarray, n_triangles: int) -> tupl
     past, patience = None, 0
     while len(faces) > n_triangles:
         mesh = _Round(p, faces, past)
-        chosen, targets, price = mesh.choose(len(faces) - n_triangles, min(1.0, _CANDIDATES * 2**patience))
+        chosen, targets = mesh.choose(len(faces) - n_triangles, min(1.0, _CANDIDATES * 2**patience))
         if len(chosen):
             patience = 0
             p, faces, past = mesh.collapse(chosen, targets)
-            if len(faces) < 4 * n_triangles:
-                faces = _without_crumbs(p, faces, n_triangles, price)
         elif patience < 4:
             patience += 1
         else:
-            faces = _without_crumbs(p, faces, n_triangles)
+            faces = _drop_component(p, faces)
     used, faces = np.unique(faces, return_inverse=True)
     return p[used] / scale + centre, faces.reshape(-1, 3)
 
@@ -123,9 +116,9 @@ class _Round:
                 np.add.at(quadrics, self.edges[rim, k], planes)
         return quadrics
 
-    def choose(self, n_remove: int, share: float) -> tuple[np.ndarray, np.ndarray, float]:
+    def choose(self, n_remove: int, share: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Edges to collapse together, none next to another, cheapest first; where they go, shape (S, 3); the highest cost.
+        Edges to collapse together, none next to another, cheapest first, and where they go, shape (S, 3).
 
         No more of them than remove ``n_remove`` faces (the last one may remove one more).
         """
@@ -168,7 +161,7 @@ class _Round:
         chosen = chosen[np.argsort(cost[chosen], kind="stable")]
         gone = np.cumsum(self.counts[chosen])
         chosen = chosen[: int(np.searchsorted(gone, n_remove)) + 1]
-        return chosen, target[chosen], float(cost[chosen[-1]]) if len(chosen) else 0.0
+        return chosen, target[chosen]
 
     def _allowed(self, edges: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Which collapses keep the topology and turn no face over, shape (S,)."""
@@ -246,26 +239,17 @@ def _minimise(q: np.ndarray, anchor: np.ndarray) -> np.ndarray:
     return np.where(determinant[:, None] > 0, point / np.maximum(determinant, 1e-300)[:, None], anchor)
 
 
-def _without_crumbs(p: np.ndarray, faces: np.ndarray, n_triangles: int, price: float = np.inf) -> np.ndarray:
-    """
-    The faces without the components that cost less than a collapse of ``price``, cheapest first, down to the budget.
+def _drop_component(p: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The faces without the component of the smallest area."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
-    What a component costs is its area times the square of its size, shared among its faces; a collapse removes two.
-    """
     graph = coo_array((np.ones(2 * len(faces)), (faces[:, [0, 0]].ravel(), faces[:, 1:].ravel())), shape=(len(p),) * 2)
     _, label = connected_components(graph, directed=False)
-    names, component = np.unique(label[faces[:, 0]], return_inverse=True)
+    label = label[faces[:, 0]]
+    corners = p[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    names, index = np.unique(label, return_inverse=True)
     if len(names) == 1:
-        if np.isinf(price):
-            raise MeshError(f"this surface cannot be reduced below {len(faces)} triangles; ask for at least as many")
-        return faces
-    c = p[faces]
-    area = np.bincount(component, np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1) / 2)
-    low, high = np.full((len(names), 3), np.inf), np.full((len(names), 3), -np.inf)
-    np.minimum.at(low, component, c.min(1))
-    np.maximum.at(high, component, c.max(1))
-    size = np.bincount(component)
-    cost = area * (((high - low) / 2) ** 2).sum(1) / size
-    order = np.argsort(cost, kind="stable")[:-1]  # the dearest stays in any case
-    goes = (2 * cost[order] < price) & (len(faces) - np.cumsum(size[order]) + size[order] > n_triangles)
-    return faces[~np.isin(component, order[goes])]
+        raise MeshError(f"this surface cannot be reduced below {len(faces)} triangles; ask for at least as many")
+    return faces[index != np.bincount(index, area).argmin()]
