@@ -87,6 +87,7 @@ _JOB = _options(
 )
 _OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
 _OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the run that OUT holds.")
+_RESUME = click.option("--resume", is_flag=True, help="Go on with the unfinished run that OUT holds.")
 _QUIET = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 
 
@@ -104,14 +105,15 @@ def cli() -> None:
 @click.option("--config", metavar="YAML", help="Settings to start from.")
 @_JOB
 @_OVERWRITE
+@_RESUME
 @_QUIET
-def simplify(asset, triangles, out, config, preset, settings, variant, overwrite, quiet) -> None:
+def simplify(asset, triangles, out, config, preset, settings, variant, overwrite, resume, quiet) -> None:
     """
     Simplify ASSET: a model file, a Mitsuba scene, or sample:relic for the embedded one.
     """
     fixed = {"asset": asset} | ({} if triangles is None else {"initial": {"triangles": triangles}})
     name = asset.removeprefix("sample:")
-    _run(config, [*settings, fixed], preset, variant, out or _default_folder(name), overwrite, quiet)
+    _run(config, [*settings, fixed], preset, variant, out or _default_folder(name), overwrite, resume, quiet)
 
 
 @cli.command()
@@ -119,19 +121,20 @@ def simplify(asset, triangles, out, config, preset, settings, variant, overwrite
 @_OUT
 @_JOB
 @_OVERWRITE
+@_RESUME
 @_QUIET
-def run(config, out, preset, settings, variant, overwrite, quiet) -> None:
+def run(config, out, preset, settings, variant, overwrite, resume, quiet) -> None:
     """
     Run the job that the YAML file CONFIG describes.
     """
-    _run(config, settings, preset, variant, out or _default_folder(config), overwrite, quiet)
+    _run(config, settings, preset, variant, out or _default_folder(config), overwrite, resume, quiet)
 
 
 def _default_folder(name: str) -> Path:
     return Path("out", Path(name).stem)
 
 
-def _run(config, overrides, preset, variant, out, overwrite, quiet) -> None:
+def _run(config, overrides, preset, variant, out, overwrite, resume, quiet) -> None:
     from .config import load_config
 
     chosen = {} if variant is None else {"variant": variant}
@@ -140,7 +143,7 @@ def _run(config, overrides, preset, variant, out, overwrite, quiet) -> None:
     from .job import run_job
 
     with _progress(quiet) as progress:
-        result = run_job(settings, out, progress, overwrite=overwrite)
+        result = run_job(settings, out, progress, overwrite=overwrite, resume=resume)
     if not quiet:
         print(result.summary())
 

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from . import __version__
+from .checkpoint import Checkpoint
 from .config import SAMPLE_PREFIX, Config, dump
 from .errors import AssetError, MeshError
 from .export import export_model
 from .export.files import write_atomic
-from .fitting import Fit, FitResult, fit
+from .fitting import FitResult, Run, fit
 from .initial import first_guess, quadrics_only
 from .interrupt import DeferredInterrupt
 from .latent.model import Model
@@ -156,7 +157,12 @@ def reference_for(asset: Asset, config: Config) -> Reference:
 
 
 def run_job(
-    config: Config, out: str | Path, progress: ProgressCallback = silent, *, overwrite: bool = False
+    config: Config,
+    out: str | Path,
+    progress: ProgressCallback = silent,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
 ) -> Result:
     """
     Load, guess, fit, export, evaluate, report: everything that the command line does.
@@ -169,22 +175,27 @@ def run_job(
     progress : callable
     overwrite : bool
         Replace a run that ``out`` holds.
+    resume : bool
+        Go on with the unfinished run that ``out`` holds, of the same asset and configuration, from its last
+        checkpoint: the same steps with the same random numbers follow.
 
     Raises
     ------
     UserError
         The asset, the configuration, the output folder or this machine cannot be used; nothing is
-        left behind in ``out``.
+        left behind in ``out``, but what can be resumed.
     KeyboardInterrupt
-        Ctrl-C, after the running step; the model as far as it was fitted is in ``out``. A second Ctrl-C does not wait.
+        Ctrl-C, after the running step; the model as far as it was fitted is in ``out``, to be resumed. A second Ctrl-C
+        does not wait.
     """
-    folder = RunFolder(out, overwrite=overwrite)
+    folder = RunFolder(out, overwrite=overwrite, resume=resume)
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
     with DeferredInterrupt() as interrupt:
 
         def checked(event: Progress) -> None:
             progress(event)
-            interrupt.check()
+            if event.stage != "fit":  # which looks at the end of each step
+                interrupt.check()
 
         return _run_job(config, folder, checked, interrupt)
 
@@ -197,14 +208,21 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
     frame = Frame.around(asset.bounds)
     target = frame.normalised(asset)
     clock.lap("load")
-    progress(Progress("first guess"))
-    guess, notes = guess_for(target, config, frame)
+    checkpoint = Checkpoint(folder.checkpoint, config, asset)
+    state = None
+    if folder.resume:
+        guess, notes, state = checkpoint.load()
+    else:
+        progress(Progress("first guess"))
+        guess, notes = guess_for(target, config, frame)
     reference = reference_for(target, config)
     clock.lap("first guess")
     with folder.opened():
-        write_atomic(folder.path / "config.yaml", dump(config))
-        fitted = _fit(guess, reference, config, frame, folder, progress, interrupt)
-        clock.lap("fit")
+        if not folder.resume:
+            write_atomic(folder.path / "config.yaml", dump(config))
+            checkpoint.begin(guess, notes)
+        fitted = _fit(guess, reference, config, frame, folder, checkpoint, state, progress, interrupt)
+        clock.lap("fit", before=0.0 if state is None else state["seconds"])
         guess, model = frame.restored(guess), frame.restored(fitted.model)
         progress(Progress("export"))
         with folder.staged() as stage:  # the model is kept, whatever happens while it is judged
@@ -230,6 +248,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
                 stage / "report.html", comparison, title=asset.name, model=model,
                 settings=config.model_dump(mode="json"), log=fitted.log, files=models, notes=notes,
             )  # fmt: skip
+        folder.finished()
     return Result(folder.path, guess, model, comparison.figures)
 
 
@@ -239,32 +258,37 @@ def _fit(
     config: Config,
     frame: Frame,
     folder: RunFolder,
+    checkpoint: Checkpoint,
+    state: dict | None,
     progress: ProgressCallback,
     interrupt: DeferredInterrupt,
 ) -> FitResult:
-    """The fit with its log; a keyboard interrupt leaves the model behind as far as it got."""
-    newest: list[tuple[Fit, int]] = []
+    """The fit with its log and checkpoints; a keyboard interrupt leaves the model behind as far as it got."""
     start = time.perf_counter()
+    if state is not None:
+        start -= state["seconds"]
+        folder.rewind_log(state["done"])
+        progress(Progress("fit", state["done"], config.optimizer.steps, message="resumed"))
 
     def logged(event: Progress) -> None:
         seconds = round(time.perf_counter() - start, 3)
         folder.log(stage=event.stage, step=event.step, loss=event.loss, psnr=event.psnr, seconds=seconds)
         progress(event)
 
-    def remember(run: Fit, step: int) -> None:
-        newest[:] = [(run, step + 1)]
-        interrupt.check()
-
-    try:
-        return fit(guess, reference, config, logged, remember)
-    except KeyboardInterrupt:
-        if not newest:
-            raise
-        run, step = newest[0]
+    def keep(run: Run) -> None:
+        if not (interrupt.pending or checkpoint.due() or run.done == run.n_steps):
+            return
+        saved = checkpoint.save(run.state())
+        if not interrupt.pending:
+            return
+        run.judge()
         with folder.staged() as stage:
-            export_model(frame.restored(run.model()), stage, formats=config.export.formats, extras=_facts(config))
-        done = f"{folder.path} holds the model after {step} of {config.optimizer.steps} steps"
-        raise KeyboardInterrupt(done) from None
+            model = frame.restored(run.result().model)
+            export_model(model, stage, formats=config.export.formats, extras=_facts(config))
+        done = f"{folder.path} holds the best model of {run.done} of {run.n_steps} steps"
+        raise KeyboardInterrupt(f"{done}; the same command with --resume goes on" if saved else done)
+
+    return fit(guess, reference, config, logged, keep, state)
 
 
 def _facts(config: Config) -> dict[str, str]:
@@ -350,7 +374,9 @@ class _Stopwatch:
         self.seconds: dict[str, float] = {"total": 0.0}
         self._start = self._lap = time.perf_counter()
 
-    def lap(self, stage: str) -> None:
+    def lap(self, stage: str, before: float = 0.0) -> None:
         now = time.perf_counter()
-        self.seconds[stage], self.seconds["total"] = round(now - self._lap, 2), round(now - self._start, 2)
+        self._start -= before  # seconds of the process that was resumed
+        self.seconds[stage] = round(now - self._lap + before, 2)
+        self.seconds["total"] = round(now - self._start, 2)
         self._lap = now

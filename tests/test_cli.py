@@ -321,7 +321,7 @@ def test_options_reach_the_job(monkeypatch, tmp_path, capsys):
         def summary(self):
             return "the summary"
 
-    def fake(config, out, progress, *, overwrite):
+    def fake(config, out, progress, *, overwrite, resume):
         jobs.append((config, str(out), overwrite))
         return Done()
 
@@ -423,5 +423,6 @@ def test_ctrl_c_leaves_the_model_as_far_as_it_got(tmp_path):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert err.strip().startswith("interrupted: out holds the model after "), err
+    assert err.strip().startswith("interrupted: out holds the best model of "), err
+    assert err.strip().endswith("of 100000 steps; the same command with --resume goes on"), err
     assert (tmp_path / "out" / "model.glb").is_file()

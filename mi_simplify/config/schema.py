@@ -207,6 +207,9 @@ class Export(Section):
     """What is written."""
 
     formats: Formats = Field(("glb", "obj", "usd"), description="Model files to write.")
+    checkpoint: float = Field(
+        30.0, ge=0, description="Seconds between two checkpoints, from which `--resume` goes on; 0: after every step."
+    )
 
 
 class Config(Section):

@@ -1,5 +1,5 @@
 """
-Files that appear whole or not at all: written beside their place, then renamed.
+Files that appear whole or not at all, whenever the machine stops: written beside their place, then renamed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from ..errors import OutputError
 
 def write_atomic(path: str | Path, write: bytes | str | Callable[[Path], None]) -> Path:
     """
-    Write a file under a temporary name in the same folder, then rename it over ``path``.
+    Write a file under a temporary name in the same folder, on the disk and not in its cache, then rename it over
+    ``path``.
 
     Parameters
     ----------
@@ -41,6 +42,8 @@ def write_atomic(path: str | Path, write: bytes | str | Callable[[Path], None]) 
             write(temporary)
         else:
             temporary.write_bytes(write.encode() if isinstance(write, str) else write)
+        with open(temporary, "rb+") as file:
+            os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
         raise _output_error(path, error) from error

@@ -1,5 +1,6 @@
 """Losses, regularisers, schedules and the optimisation loop."""
 
 from .fit import Fit as Fit
-from .fit import FitResult as FitResult
-from .fit import fit as fit
+from .loop import FitResult as FitResult
+from .loop import Run as Run
+from .loop import fit as fit

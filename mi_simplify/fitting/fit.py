@@ -1,13 +1,9 @@
 """
-The optimisation loop: draw views, render both sides, carry the difference back, step.
+One step of the fit: draw views, render both sides, carry the difference back, step.
 """
 
 from __future__ import annotations
 
-import logging
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 
 import drjit as dr
@@ -18,7 +14,6 @@ from ..config import Config
 from ..integrators.deferred import DeferredRenderer
 from ..latent.latent import Latent
 from ..latent.model import Model
-from ..progress import Progress, ProgressCallback, silent
 from ..scenes.reference import Reference
 from ..scenes.views import goniometer
 from ..upload import upload
@@ -29,18 +24,6 @@ from .residual import PathResidual
 from .schedules import exponential, laplacian_weight, resolution_at
 from .texels import TexelAdam
 from .vertices import VertexSteps
-
-log = logging.getLogger("mi_simplify")
-
-
-@dataclass
-class FitResult:
-    """
-    The fitted model, in the frame of the first guess, and one record per logged step.
-    """
-
-    model: Model
-    log: list[dict] = field(default_factory=list)
 
 
 class Fit:
@@ -78,6 +61,8 @@ class Fit:
         self.loss = image_loss(config.loss.image)
         self._coverage = dr.opaque(mi.Float, config.loss.coverage)
         self._laplacian_start: float | None = None
+        self.caution = 1.0
+        """Factor of all rates, halved by :meth:`retreat`."""
 
         view = config.views
         draw = partial(
@@ -126,7 +111,7 @@ class Fit:
         del frame  # its graph holds on to the textures, which then could not be written in place
         if self.moves and config.loss.laplacian.weight > 0:
             dr.backward(self.laplacian.loss(leaf) * self._laplacian_weight(loss, progress))
-        factor = exponential(progress, config.optimizer.decay)
+        factor = self.caution * exponential(progress, config.optimizer.decay)
         if texel_grad is not None:
             self.texels.step(texel_grad, dr.opaque(mi.Float, factor))
         if self.moves:
@@ -183,6 +168,54 @@ class Fit:
         """
         return self.latent.model(dr.detach(self.vertices.positions()).numpy())
 
+    def parameters(self) -> dict[str, np.ndarray]:
+        """
+        What is optimised, as copies.
+        """
+        return {"u": self.vertices.state()["u"], "data": self.latent.textures.data.numpy().copy()}
+
+    def take(self, parameters: dict[str, np.ndarray]) -> None:
+        """
+        Go on from earlier :meth:`parameters`, with nothing remembered of the steps since.
+        """
+        self.vertices.restart(parameters["u"])
+        self.texels.restart(parameters["data"])
+
+    def retreat(self, parameters: dict[str, np.ndarray]) -> None:
+        """
+        After a step that led astray: go back to earlier parameters, with views drawn anew and all rates halved.
+        """
+        self.take(parameters)
+        self.pool.clear()
+        self.caution *= 0.5
+        if not np.isfinite(self._laplacian_start or 0.0):
+            self._laplacian_start = None
+
+    def trouble(self) -> str | None:
+        """
+        Which of what is optimised is no longer finite, None where all is well; waits for the device.
+        """
+        parts = {"vertices": self.vertices, "textures": self.texels}
+        return next((name for name, part in parts.items() if not part.is_finite()), None)
+
+    def state(self) -> dict:
+        """
+        All that later steps depend on, as copies: nested dicts of arrays and plain values.
+        """
+        return {
+            "vertices": self.vertices.state(), "texels": self.texels.state(), "pool": self.pool.state(),
+            "laplacian_start": self._laplacian_start, "caution": self.caution,
+        }  # fmt: skip
+
+    def restore(self, state: dict) -> None:
+        """
+        Inverse of :meth:`state`: the steps that follow are those that would have followed there.
+        """
+        self.vertices.restore(state["vertices"])
+        self.texels.restore(state["texels"])
+        self.pool.restore(state["pool"])
+        self._laplacian_start, self.caution = state["laplacian_start"], state["caution"]
+
 
 def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance):
     return goniometer(
@@ -191,63 +224,5 @@ def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance):
     )  # fmt: skip
 
 
-def fit(
-    model: Model,
-    reference: Reference,
-    config: Config,
-    progress: ProgressCallback = silent,
-    on_step: Callable[[Fit, int], None] | None = None,
-) -> FitResult:
-    """
-    Optimise a first guess until it looks like the reference.
-
-    Minimises the expected image loss over random views (Hasselgren et al. 2021, Eq. 1 and 6), and returns the state
-    with the least loss on held-out views, which may be the first guess itself: a warning says so.
-
-    Parameters
-    ----------
-    model : Model
-        First guess in the normalised frame.
-    reference : Reference
-    config : Config
-        Sections ``views``, ``optimizer``, ``loss``, ``latent``, ``reference.pool`` and ``evaluation.every`` are read.
-    progress : callable
-    on_step : callable, optional
-        ``on_step(fit, index)`` after every step: checkpoints, pictures.
-
-    Returns
-    -------
-    FitResult
-    """
-    n_steps, every = config.optimizer.steps, config.evaluation.every
-    if n_steps == 0:
-        return FitResult(model)
-    run, records, start = Fit(model, reference, config), [], time.perf_counter()
-    least, _ = run.judge()
-    best, best_step = model, 0
-    for index in range(n_steps):
-        loss = run.step(index)
-        judged = (index + 1) % every == 0 or index + 1 == n_steps
-        if judged or index % _LOG_EVERY == 0:
-            record = {"step": index + 1, "loss": float(loss[0]), "seconds": round(time.perf_counter() - start, 3)}
-            if judged:
-                held_out, record["psnr"] = run.judge()
-                record["held_out_loss"] = held_out
-                if held_out < least:
-                    least, best, best_step = held_out, run.model(), index + 1
-            records.append(record)
-            progress(Progress("fit", index + 1, n_steps, record["loss"], record.get("psnr")))
-        if on_step is not None:
-            on_step(run, index)
-    if best_step == 0:
-        log.warning("no step of the fit was better on held-out views than the first guess, which is kept as it was")
-    elif best_step < n_steps:
-        log.info("the model of step %d of %d is kept: it was the best on held-out views", best_step, n_steps)
-    return FitResult(best, records)
-
-
 #: Steps between two renewals of the pool: fewer, larger ones cost less.
 _REFRESH_EVERY = 16
-
-#: Steps between two readings of the loss; each waits for the device.
-_LOG_EVERY = 10

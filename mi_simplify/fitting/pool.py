@@ -57,7 +57,8 @@ class ViewPool:
         Render ``n`` new views, in place of the oldest where the pool is full; empty it where the resolution changed.
         """
         if resolution != self.resolution:
-            self._views, self._images, self._next, self.resolution = [], [], 0, resolution
+            self.clear()
+            self.resolution = resolution
         if n == 0:
             return
         views = self.draw(n, self.rng, resolution)
@@ -78,6 +79,33 @@ class ViewPool:
                 self._views[self._next], self._images[self._next] = view, image
             self._next = (self._next + 1) % self.capacity
         self.n_rendered += n
+
+    def state(self) -> dict:
+        """
+        What later batches depend on. The images are kept: a residual belongs to the model of its time, and a black box
+        may not give the same image twice.
+        """
+        names = self._views[0] if self._views else ()
+        views = {name: np.array([view[name] for view in self._views]) for name in names}
+        return {
+            "rng": self.rng.bit_generator.state, "resolution": self.resolution, "next": self._next,
+            "n_rendered": self.n_rendered, "views": views, "images": np.array(self._images),
+        }  # fmt: skip
+
+    def restore(self, state: dict) -> None:
+        """
+        Inverse of :meth:`state`.
+        """
+        self.rng.bit_generator.state = state["rng"]
+        self.resolution, self._next, self.n_rendered = (state[key] for key in ("resolution", "next", "n_rendered"))
+        self._images = list(state["images"])
+        self._views = [{key: rows[k] for key, rows in state["views"].items()} for k in range(len(self))]
+
+    def clear(self) -> None:
+        """
+        Forget all views; the next :meth:`grow` begins anew.
+        """
+        self._views, self._images, self._next, self.resolution = [], [], 0, 0
 
     def batch(self, n: int) -> tuple[Views, mi.Vector4f, mi.Vector4f]:
         """

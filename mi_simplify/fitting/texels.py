@@ -8,6 +8,7 @@ import math
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..latent.textures import BLOCK, TexelGradient, Textures
 from ..upload import upload
@@ -84,13 +85,34 @@ class TexelAdam:
         unit[5:8] = normal.x, normal.y, normal.z
         return mi.ArrayXf(unit)
 
+    def is_finite(self) -> bool:
+        """
+        Whether no NaN or infinity has come in; waits for the device.
+        """
+        # The texels themselves do not tell: NaN, clipped into its range, is a number again.
+        return bool(dr.all(dr.isfinite(self.m) & dr.isfinite(self.v))[0])
+
     def state(self) -> dict:
-        """Arrays that a checkpoint keeps; copies, since steps are written in place."""
-        return {"m": self.m.numpy().copy(), "v": self.v.numpy().copy(), "count": self.count.numpy().copy()}
+        """
+        Texels, moments and counts: copies, since steps are written in place.
+        """
+        arrays = {"data": self.textures.data, "m": self.m, "v": self.v, "count": self.count}
+        return {name: array.numpy().copy() for name, array in arrays.items()}
 
     def restore(self, state: dict) -> None:
-        """Inverse of :meth:`state`."""
-        self.m, self.v, self.count = (upload(mi.Float, state[k]) for k in ("m", "v", "count"))
+        """
+        Inverse of :meth:`state`.
+        """
+        self.textures.data, self.m, self.v, self.count = (
+            upload(mi.Float, state[name]) for name in ("data", "m", "v", "count")
+        )
+
+    def restart(self, data: np.ndarray) -> None:
+        """
+        Go on from the texels of an earlier state, the moments forgotten.
+        """
+        zero = np.zeros_like(data)
+        self.restore({"data": data, "m": zero, "v": zero, "count": np.zeros(len(data) // self.textures.n_channels)})
 
 
 def _same_memory(buffer: mi.Float) -> mi.Float:

@@ -71,3 +71,31 @@ class VertexSteps:
         self._u = dr.detach(self._u) - dr.ravel(step)
         dr.enable_grad(self._u)
         dr.eval(self._u)
+
+    def is_finite(self) -> bool:
+        """
+        Whether no NaN or infinity has come in; waits for the device.
+        """
+        return bool(dr.all(dr.isfinite(dr.detach(self._u)))[0] and dr.all(dr.isfinite(self._v))[0])
+
+    def state(self) -> dict:
+        """
+        What later steps depend on: copies of u, flat, and of the moments m (P, 3) and v (P,).
+        """
+        arrays = {"u": dr.detach(self._u), "m": self._m, "v": self._v}
+        return {"steps": self._steps, **{name: array.numpy().T.copy() for name, array in arrays.items()}}
+
+    def restore(self, state: dict) -> None:
+        """
+        Inverse of :meth:`state`.
+        """
+        self._u, self._m = upload(mi.Float, state["u"]), upload(mi.Vector3f, state["m"])
+        self._v, self._steps = upload(mi.Float, state["v"]), state["steps"]
+        dr.enable_grad(self._u)
+
+    def restart(self, u: np.ndarray) -> None:
+        """
+        Go on from the ``u`` of an earlier state, the moments forgotten.
+        """
+        n = len(u) // 3
+        self.restore({"u": u, "m": np.zeros((n, 3)), "v": np.zeros(n), "steps": 0})

@@ -1,0 +1,187 @@
+"""
+The optimisation loop: step, look at held-out views now and then, keep the best, come back from what went astray.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from ..config import Config
+from ..latent.model import Model
+from ..progress import Progress, ProgressCallback, silent
+from ..scenes.reference import Reference
+from .fit import Fit
+
+log = logging.getLogger("mi_simplify")
+
+
+@dataclass
+class FitResult:
+    """
+    The fitted model, in the frame of the first guess, one record per logged step, and the seconds that it took.
+    """
+
+    model: Model
+    log: list[dict] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+class Run:
+    """
+    A fit under way: how many steps are done, the best state so far, what was logged.
+
+    Parameters
+    ----------
+    model : Model
+        First guess in the normalised frame.
+    reference : Reference
+    config : Config
+    state : dict, optional
+        Of the run to go on with, from :meth:`state`; model, reference and configuration are the same as there.
+    """
+
+    def __init__(self, model: Model, reference: Reference, config: Config, state: dict | None = None):
+        self.fit, self.first_guess, self.n_steps = Fit(model, reference, config), model, config.optimizer.steps
+        self.every = config.evaluation.every
+        self.done, self.records, self._earlier, self._start = 0, [], 0.0, time.perf_counter()
+        self.best, self.best_step, self.least, self.setbacks = self.fit.parameters(), 0, math.inf, 0
+        if state is None:
+            self.judge()
+        else:
+            self.fit.restore(state["fit"])
+            self._earlier = state["seconds"]
+            for name in _KEPT:
+                setattr(self, name, state[name])
+
+    @property
+    def seconds(self) -> float:
+        """Since the first step, without the time between two processes."""
+        return self._earlier + time.perf_counter() - self._start
+
+    def state(self) -> dict:
+        """
+        All that is needed to go on: nested dicts of arrays, which are copies, and plain values.
+        """
+        return {"fit": self.fit.state(), "seconds": self.seconds, **{name: getattr(self, name) for name in _KEPT}}
+
+    def judge(self) -> dict:
+        """
+        Measure the current state on held-out views and remember it where it is the best.
+
+        Returns
+        -------
+        dict
+            ``held_out_loss`` and ``psnr`` [dB].
+        """
+        loss, psnr = self.fit.judge()
+        if loss < self.least:
+            self.least, self.best, self.best_step = loss, self.fit.parameters(), self.done
+        return {"held_out_loss": loss, "psnr": psnr}
+
+    def step(self) -> dict | None:
+        """
+        One step.
+
+        Returns
+        -------
+        dict or None
+            The record of a step at which something was measured: ``step``, ``loss``, ``seconds`` and what
+            :meth:`judge` returns.
+        """
+        loss = self.fit.step(self.done)
+        self.done += 1
+        judged = self.done % self.every == 0 or self.done == self.n_steps
+        if not judged and (self.done - 1) % _LOG_EVERY:
+            return None
+        value = float(loss[0])
+        trouble = self.fit.trouble() if math.isfinite(value) else "loss"
+        if trouble is not None:
+            self._set_back(trouble)
+            return None
+        record = {"step": self.done, "loss": value, "seconds": round(self.seconds, 3)}
+        self.records.append(record)
+        if judged:
+            record.update(self.judge())
+        return record
+
+    def _set_back(self, what: str) -> None:
+        """Back to the best state, more carefully; after too many times that is where it ends."""
+        self.setbacks += 1
+        self.fit.retreat(self.best)
+        back = f"step {self.done}: not finite: {what}; back to the state of step {self.best_step}"
+        if self.setbacks < _MAX_SETBACKS:
+            log.warning("%s, at half the rates", back)
+        else:
+            log.warning("%s, which is kept: this happened %d times", back, self.setbacks)
+            self.done = self.n_steps
+
+    def result(self) -> FitResult:
+        """
+        The best model so far, which may be the first guess itself.
+        """
+        if self.best_step == 0:
+            return FitResult(self.first_guess, self.records, self.seconds)
+        self.fit.take(self.best)
+        return FitResult(self.fit.model(), self.records, self.seconds)
+
+
+def fit(
+    model: Model,
+    reference: Reference,
+    config: Config,
+    progress: ProgressCallback = silent,
+    on_step: Callable[[Run], None] | None = None,
+    state: dict | None = None,
+) -> FitResult:
+    """
+    Optimise a first guess until it looks like the reference.
+
+    Minimises the expected image loss over random views (Hasselgren et al. 2021, Eq. 1 and 6), and returns the state
+    with the least loss on held-out views, which may be the first guess itself: a warning says so. Where a loss or a
+    gradient is not finite, it goes back to the best state with half the rates, and says that too.
+
+    Parameters
+    ----------
+    model : Model
+        First guess in the normalised frame.
+    reference : Reference
+    config : Config
+        Sections ``views``, ``optimizer``, ``loss``, ``latent``, ``reference.pool`` and ``evaluation.every`` are read.
+    progress : callable
+    on_step : callable, optional
+        ``on_step(run)`` after every step: checkpoints, pictures.
+    state : dict, optional
+        ``run.state()`` of an earlier call with the same model, reference and configuration, to go on with.
+
+    Returns
+    -------
+    FitResult
+    """
+    if config.optimizer.steps == 0:
+        return FitResult(model)
+    run = Run(model, reference, config, state)
+    while run.done < run.n_steps:
+        record = run.step()
+        if record is not None:
+            progress(Progress("fit", run.done, run.n_steps, record["loss"], record.get("psnr")))
+        if on_step is not None:
+            on_step(run)
+    if run.best_step == 0:
+        log.warning("no step of the fit was better on held-out views than the first guess, which is kept as it was")
+    elif run.best_step < run.n_steps:
+        log.info("the model of step %d of %d is kept: it was the best on held-out views", run.best_step, run.n_steps)
+    return run.result()
+
+
+#: What a state holds beside the fit's own.
+_KEPT = ("done", "records", "best", "best_step", "least", "setbacks")
+
+#: Steps between two readings of the loss; each waits for the device.
+_LOG_EVERY = 10
+
+#: So often a fit that is not finite goes back; then its cause will not go away.
+_MAX_SETBACKS = 5
