@@ -68,12 +68,31 @@ def test_factors_and_textures_multiply(glb, tmp_path):
 
 def test_gamma_comes_back_from_specular_colour(glb, tmp_path):
     texture = glb.texture(np.uint8([[[188, 188, 188], [255, 255, 255]]]))  # sRGB 188 is 0.503 linear
-    glb.material(extensions={"KHR_materials_specular": {"specularColorTexture": {"index": texture}}})
-    glb.material(extensions={"KHR_materials_specular": {"specularColorFactor": [0.2, 0.3, 0.4]}})
-    glb.mesh(glb.quad(0), glb.quad(1))
-    first, second = (p.material.specular for p in load_asset(glb.save(tmp_path / "a.glb")).parts)
-    np.testing.assert_allclose(first[..., 0], [[1 - 0.50289, 0]], atol=1e-4)
-    np.testing.assert_allclose(second[..., 0], [[0.7]], atol=1e-6)
+    factor = {"KHR_materials_specular": {"specularColorFactor": [0.2, 0.3, 0.4]}}
+    plastic, metal = {"metallicFactor": 0}, {"metallicFactor": 1, "baseColorFactor": [0.9, 0.5, 0.1, 1]}
+    image = {"KHR_materials_specular": {"specularColorTexture": {"index": texture}}}
+    glb.material(pbrMetallicRoughness=plastic, extensions=image)
+    glb.material(pbrMetallicRoughness=plastic, extensions=factor)
+    glb.material(pbrMetallicRoughness=metal, extensions=factor)
+    glb.mesh(glb.quad(0), glb.quad(1), glb.quad(2))
+    first, second, third = (p.material for p in load_asset(glb.save(tmp_path / "a.glb")).parts)
+    np.testing.assert_allclose(first.specular[..., 0], [[1 - 0.50289, 0]], atol=1e-4)
+    np.testing.assert_allclose(second.specular[..., 0], [[0.7]], atol=1e-6)
+    np.testing.assert_allclose(third.specular, [[[0, 1, 1]]], atol=1e-6)  # a metal's lobe has its base colour
+    np.testing.assert_allclose(third.base_color, [[[0.9, 0.5, 0.1, 1]]], atol=1e-6)
+
+
+def test_gamma_between_dielectric_and_metal_is_that_of_the_gltf_formula(glb, tmp_path):
+    """Diffuse reflectance and both F0 of ggx_gamma, for the material read, are those that glTF gives the file's."""
+    kd, m, s = np.array([0.6, 0.3, 0.1]), 0.4, 0.5
+    pbr = {"baseColorFactor": [*kd, 1], "metallicFactor": m}
+    glb.material(pbrMetallicRoughness=pbr, extensions={"KHR_materials_specular": {"specularColorFactor": [s] * 3}})
+    glb.mesh(glb.quad(0))
+    (part,) = load_asset(glb.save(tmp_path / "a.glb")).parts
+    color, (gamma, _, metallic) = part.material.base_color[0, 0, :3], part.material.specular[0, 0]
+    np.testing.assert_allclose(color * (1 - metallic), kd * (1 - m), rtol=1e-5)
+    np.testing.assert_allclose((1 - gamma) * color * metallic, kd * m, rtol=1e-5)
+    np.testing.assert_allclose((1 - gamma) * (1 - metallic), s * (1 - m), rtol=1e-5)
 
 
 def test_alpha_modes(glb, tmp_path):

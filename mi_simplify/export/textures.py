@@ -3,21 +3,18 @@ Linear float textures to the 8-bit images that files carry.
 
 Base colour is sRGB; occlusion-roughness-metal, normals and opacity are linear. Where the model has
 gamma (it scales the specular lobe, ``ks' = (1 - gamma) ks``), a dielectric texel carries it as
-KHR_materials_specular's specular colour ``1 - gamma`` and a metallic one in its base colour.
+KHR_materials_specular's specular colour, a metallic one in its base colour, one between in both.
 """
 
 from __future__ import annotations
 
 import io
-import logging
 from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
 
 from ..latent.model import Model
-
-log = logging.getLogger("mi_simplify")
 
 VISIBLE_GAMMA = 1.0 / 255.0
 """Gamma up to here is 8-bit noise and written as 0."""
@@ -37,7 +34,7 @@ class Textures:
     normal : ndarray, shape (H, W, 3), uint8
         Tangent space, +Y up the image.
     specular_color : ndarray, shape (H, W, 3), uint8, or None
-        sRGB of 1 - gamma, white on metal; None where no dielectric texel has gamma.
+        sRGB, white on metal; None where no dielectric texel has gamma.
     """
 
     base_color: np.ndarray
@@ -49,9 +46,6 @@ class Textures:
 def encode_textures(model: Model) -> Textures:
     """
     Quantise a model's textures by rounding to the nearest step, without dither.
-
-    Texels between dielectric and metal (0 < m < 1) with gamma have no exact form in glTF: gamma
-    goes into the base colour by the share m; how many there are is logged.
 
     Parameters
     ----------
@@ -70,8 +64,8 @@ def encode_textures(model: Model) -> Textures:
     specular = _checked("specular", model.specular, 3)
     normal = _checked("normal", model.normal, 3)
     opacity = np.ones_like(base[..., 3]) if model.alpha_mode == "OPAQUE" else base[..., 3]
-    rgb, specular_color = fold_gamma(base[..., :3], specular)
-    orm = np.concatenate([np.ones_like(specular[..., :1]), specular[..., 1:]], axis=2)
+    rgb, metallic, specular_color = fold_gamma(base[..., :3], specular)
+    orm = np.stack([np.ones_like(metallic), specular[..., 1], metallic], axis=2)
     return Textures(
         base_color=to_8bit(np.concatenate([linear_to_srgb(rgb), opacity[..., None]], axis=2)),
         orm=to_8bit(orm),
@@ -80,9 +74,17 @@ def encode_textures(model: Model) -> Textures:
     )
 
 
-def fold_gamma(rgb: np.ndarray, specular: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+def fold_gamma(rgb: np.ndarray, specular: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """
-    Share gamma out between metals' base colour and dielectrics' specular colour.
+    The glTF material that reflects as one with gamma does.
+
+    With base colour kd and metalness m, diffuse reflectance is ``kd (1-m)``, and F0 is ``(1-γ) kd m`` of the metal and
+    ``0.04 (1-γ) (1-m)`` of the dielectric share. glTF has these three values with
+
+        kd' = (1-γm) kd        m' = m (1-γ) / (1-γm)        specular colour = (1-γ) (1-γm)
+
+    and as Schlick's formula is linear in F0, the same specular lobe from every direction. What differs, by 0.04 γ at
+    most, is how much light the dielectric lets through to the diffuse part.
 
     Parameters
     ----------
@@ -94,25 +96,20 @@ def fold_gamma(rgb: np.ndarray, specular: np.ndarray) -> tuple[np.ndarray, np.nd
     Returns
     -------
     rgb : ndarray, shape (H, W, 3)
-        Base colour times ``1 - gamma * metallic``.
+    metallic : ndarray, shape (h, w)
     specular_color : ndarray, shape (h, w, 3), or None
-        Linear ``1 - gamma``, 1 on metal; None where it is 1 everywhere.
+        Linear, 1 on metal; None where it is 1 everywhere.
     """
     gamma = np.where(specular[..., 0] > VISIBLE_GAMMA, np.clip(specular[..., 0], 0.0, 1.0), 0.0)
-    if not gamma.any():
-        return rgb, None
     metallic = np.clip(specular[..., 2], 0.0, 1.0)
-    between = (gamma > 0) & (metallic > 0.05) & (metallic < 0.95)
-    if between.any():
-        log.warning(
-            "%.1f %% of texels have gamma and are neither metal nor not: glTF can say this only approximately",
-            100 * between.mean(),
-        )
-    folded = rgb * (1.0 - _nearest(gamma * metallic, rgb.shape[:2]))[..., None]
-    carried = np.where(metallic >= 1.0 - 0.5 / 255.0, 0.0, gamma)  # a full metal has no dielectric lobe
-    if not carried.any():
-        return folded, None
-    return folded, np.repeat((1.0 - carried)[..., None], 3, axis=2)
+    if not gamma.any():
+        return rgb, metallic, None
+    kept = 1.0 - gamma * metallic
+    rgb = rgb * _nearest(kept, rgb.shape[:2])[..., None]
+    is_metal = metallic >= 1.0 - 0.5 / 255.0  # without a dielectric share
+    color = np.where(is_metal, 1.0, (1.0 - gamma) * kept)
+    metallic = np.where(is_metal, metallic, metallic * (1.0 - gamma) / np.maximum(kept, 1e-6))
+    return rgb, metallic, None if (color == 1.0).all() else np.repeat(color[..., None], 3, axis=2)
 
 
 def encode_normal(normal: np.ndarray) -> np.ndarray:

@@ -57,7 +57,9 @@ class _MaterialReader:
             base, roughness_metallic = self._specular_glossiness(extensions["KHR_materials_pbrSpecularGlossiness"])
         else:
             base, roughness_metallic = self._metallic_roughness(source.get("pbrMetallicRoughness") or {})
-        gamma = self._gamma(extensions.get("KHR_materials_specular"))
+        specular = join_channels(constant(0), roughness_metallic)
+        if "KHR_materials_specular" in extensions:
+            base, specular = _with_gamma(base, specular, self._specular_color(extensions["KHR_materials_specular"]))
         info = source.get("normalTexture")
         pixels = self._texture(info, "normal map")
         normal = None
@@ -71,7 +73,7 @@ class _MaterialReader:
         return Material(
             name=self.name,
             base_color=np.clip(base, 0, 1),
-            specular=np.clip(join_channels(gamma, roughness_metallic), 0, 1),
+            specular=np.clip(specular, 0, 1),
             normal=normal,
             alpha_mode=self._alpha_mode(),
             alpha_cutoff=float(source.get("alphaCutoff", 0.5)),
@@ -112,14 +114,12 @@ class _MaterialReader:
         alpha = opacity(values)
         return join_channels(rgb(values), constant(1) if alpha is None else alpha) * factor
 
-    def _gamma(self, specular: dict | None) -> np.ndarray:
+    def _specular_color(self, specular: dict) -> np.ndarray:
         """
-        γ = 1 - mean(specularColor), shape (H, W, 1), the inverse of what the export writes.
+        Mean of the specular colour's channels, shape (H, W, 1).
 
         ``specularFactor`` scales F90 as well, for which there is no parameter; it is folded in.
         """
-        if specular is None:
-            return constant(0)
         strength = constant(float(specular.get("specularFactor", 1)))
         pixels = self._texture(specular.get("specularTexture"), "specular texture")
         if pixels is not None and opacity(pixels) is not None:
@@ -130,9 +130,7 @@ class _MaterialReader:
         pixels = self._texture(specular.get("specularColorTexture"), "specular colour texture")
         if pixels is not None:
             color = color * to_float(rgb(pixels), srgb=True)
-        color = color.mean(axis=2, keepdims=True)
-        joined = join_channels(color, strength)
-        return np.clip(1 - joined[..., :1] * joined[..., 1:], 0, 1)
+        return np.clip(join_channels(color.mean(axis=2, keepdims=True), strength).prod(axis=2, keepdims=True), 0, 1)
 
     def _texture(self, info: dict | None, what: str) -> np.ndarray | None:
         """
@@ -175,3 +173,21 @@ def _mapping(info: dict, wraps: tuple[str, str]) -> Mapping:
     # KHR_texture_transform: translation · rotation · scale, with v pointing down.
     matrix = np.array([[c * su, s * sv, u], [-s * su, c * sv, v]], np.float64)
     return Mapping(transform.get("texCoord", info.get("texCoord", 0)), matrix, wraps)
+
+
+def _with_gamma(base: np.ndarray, specular: np.ndarray, color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Base colour and (γ, roughness, metallic) that reflect as glTF's base colour, metalness and specular colour do.
+
+    In glTF the specular colour s tints the dielectric share alone, while γ weakens the whole lobe. Diffuse reflectance
+    and both F0 agree with ``γ = 1 - s/k``, ``m k²/s`` for the metalness m and ``kd/k`` for the base colour kd, where
+    ``m/s k² + (1-m) k = 1``.
+    """
+    joined = join_channels(base, specular, color)
+    base, specular, metallic, s = joined[..., :4].copy(), joined[..., 4:7].copy(), joined[..., 6], joined[..., 7]
+    s = np.where(metallic < 1 - 0.5 / 255, np.maximum(s, 1e-6), 1)  # a metal has no dielectric share
+    b = 1 - metallic
+    k = 2 / (b + np.sqrt(b**2 + 4 * metallic / s))
+    base[..., :3] /= k[..., None]
+    specular[..., 0], specular[..., 2] = 1 - s / k, metallic * k**2 / s
+    return base, specular
