@@ -17,7 +17,7 @@ from typing import Any
 
 import click
 
-from .errors import UserError
+from .errors import Defect, UserError
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -39,7 +39,7 @@ def main(argv: list[str] | None = None) -> int:
         return _fail(f"{error.format_message()} (see '{command} --help')")
     except click.ClickException as error:
         return _fail(error.format_message())
-    except UserError as error:
+    except (UserError, Defect) as error:
         return _fail(str(error), error.exit_code)
     except (click.Abort, KeyboardInterrupt, Exception) as error:
         interrupt = _interrupt(error)

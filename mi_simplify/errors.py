@@ -42,3 +42,11 @@ class RuntimeUnavailable(UserError):
     """
     No usable LLVM, variant or optional package; the message names what to install.
     """
+
+
+class Defect(RuntimeError):
+    """
+    A result is not what it should be, and not through the user's fault; everything that was written is kept.
+    """
+
+    exit_code = 1

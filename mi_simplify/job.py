@@ -14,7 +14,7 @@ import numpy as np
 from . import __version__
 from .checkpoint import Checkpoint
 from .config import SAMPLE_PREFIX, Config, dump
-from .errors import AssetError, MeshError
+from .errors import AssetError, Defect, MeshError
 from .export import export_model
 from .export.files import write_atomic
 from .fitting import FitResult, Run, fit
@@ -25,6 +25,7 @@ from .output import RunFolder
 from .progress import Progress, ProgressCallback, silent
 from .report.evaluate import compare_assets, save_comparison
 from .report.html import write_report
+from .report.self_check import LEAST_PSNR, self_check
 from .runtime import ensure_variant
 from .scenes.asset import Asset
 from .scenes.load import load_asset
@@ -184,6 +185,8 @@ def run_job(
     UserError
         The asset, the configuration, the output folder or this machine cannot be used; nothing is
         left behind in ``out``, but what can be resumed.
+    Defect
+        The exported file does not show what was fitted; everything is written all the same.
     KeyboardInterrupt
         Ctrl-C, after the running step; the model as far as it was fitted is in ``out``, to be resumed. A second Ctrl-C
         does not wait.
@@ -229,7 +232,9 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             files = export_model(model, stage, formats=config.export.formats, extras=_facts(config))
         clock.lap("export")
         written = folder.path / next(iter(files.values())).name
-        candidates = {"first guess": guess.as_asset(), "result": load_asset(written)}
+        result = load_asset(written)
+        shown = self_check(fitted.model, frame.normalised(result), form=config.latent.shading)
+        candidates = {"first guess": guess.as_asset(), "result": result}
         judged = config.evaluation
         if judged.baseline:
             baseline, _ = quadrics_only(target, guess.n_triangles, atlas_size=config.initial.atlas_size)
@@ -239,7 +244,10 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             seed=config.seed, progress=progress,
         )  # fmt: skip
         clock.lap("evaluate")
-        run = {**_facts(config), "variant": config.variant, "notes": notes, "seconds": clock.seconds}
+        run = {
+            **_facts(config), "variant": config.variant, "notes": notes, "seconds": clock.seconds,
+            "self_check": {"file": written.name, "psnr": round(shown, 2)},
+        }  # fmt: skip
         comparison = replace(comparison, figures={**comparison.figures, "run": run})
         models = sorted(path for path in folder.path.iterdir() if path.name.startswith("model"))
         with folder.staged() as stage:
@@ -249,6 +257,11 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
                 settings=config.model_dump(mode="json"), log=fitted.log, files=models, notes=notes,
             )  # fmt: skip
         folder.finished()
+    if shown < LEAST_PSNR:
+        raise Defect(
+            f"{written} does not show what was fitted: {shown:.1f} dB PSNR, where {LEAST_PSNR:.0f} are expected; "
+            "all files are kept, please report this with them"
+        )
     return Result(folder.path, guess, model, comparison.figures)
 
 

@@ -1,0 +1,91 @@
+"""
+Whether a written file shows what was fitted.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..integrators.deferred import DeferredRenderer
+from ..latent.latent import Latent
+from ..latent.model import Mesh, Model
+from ..latent.surface import MeshTopology, Surface
+from ..latent.tangents import vertex_tangents
+from ..latent.textures import Textures
+from ..scenes.asset import Asset, Part
+from ..scenes.shapes import part_normals
+from ..scenes.views import Views, held_out_views
+from ..upload import upload
+from .metrics import psnr
+
+LEAST_PSNR = 45.0
+"""What a file reaches that lost nothing but the precision of 8-bit textures [dB]."""
+
+
+def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int = 4, resolution: int = 256) -> float:
+    """
+    How alike the latent model and a file of it are, lit directly.
+
+    Both are rendered by the renderer of the fit from the same sample positions, so that the difference is the file's.
+    Of the file nothing but its vertices, normals, texture coordinates and images is used.
+
+    Parameters
+    ----------
+    model : Model
+        What was fitted.
+    written : Asset
+        What was read back, of one part, in the frame of the model.
+    form : {'gltf', 'paper'}
+        Mixing of the lobes.
+    n_views, resolution : int
+        How many square images of how many pixels.
+
+    Returns
+    -------
+    float
+        PSNR of what a screen shows, mean over the views [dB]; 100 where nothing differs.
+    """
+    views = held_out_views(written.bounds, n_views, resolution)
+    latent = Latent(model, _extended(model.base_color, model.specular))
+    positions = upload(mi.Float, latent.topology.mesh.positions.ravel())
+    fitted = _render(latent.topology, latent.evaluate(positions), latent.textures, positions, views, form)
+    (part,) = written.placed()
+    return float(psnr(fitted, _render(*_as_written(part), views, form)).mean())
+
+
+def _as_written(part: Part) -> tuple[MeshTopology, Surface, Textures, mi.Float]:
+    """The part on the device, with the normals of its file and MikkTSpace tangents of those."""
+    vertex = np.arange(len(part.vertices))
+    topology = MeshTopology(Mesh(part.vertices, vertex, part.uvs, part.faces))
+    mesh, normals = topology.mesh, part_normals(part)
+    tangents, w = vertex_tangents(mesh, normals)
+    u, v = mesh.uvs[:, :1], mesh.uvs[:, 1:]
+    packets = np.concatenate([mesh.vertices, u, normals[mesh.position_index], v, tangents, w[:, None]], axis=1)
+    material = part.material
+    normal = np.float32([[[0, 0, 1]]]) if material.normal is None else material.normal
+    images = (material.base_color, material.specular, normal)
+    size = tuple(np.max([image.shape[:2] for image in images], axis=0))
+    color, specular, normal = (np.broadcast_to(image, (*size, image.shape[2])) for image in images)
+    if material.alpha_mode == "OPAQUE":
+        color = np.concatenate([color[..., :3], np.ones_like(color[..., 3:])], axis=2)
+    textures = Textures(color, specular, normal, _extended(color, specular))
+    surface = Surface(upload(mi.Float, packets.ravel()), topology.faces)
+    return topology, surface, textures, upload(mi.Float, mesh.positions.ravel())
+
+
+def _extended(base_color: np.ndarray, specular: np.ndarray) -> bool:
+    """Whether there is any opacity or γ."""
+    return bool((base_color[..., 3] < 1).any() or specular[..., 0].any())
+
+
+def _render(
+    topology: MeshTopology, surface: Surface, textures: Textures, positions: mi.Float, views: Views, form: str
+) -> np.ndarray:
+    """Images of the views, shape (B, H, W, 4)."""
+    renderer = DeferredRenderer(topology, form=form)
+    renderer.move(positions)
+    with dr.suspend_grad():
+        frame = renderer.render(surface, textures, views, spp=4, seed=dr.opaque(mi.UInt32, 1))
+    return frame.image.numpy().T.reshape(len(views), views.height, views.width, 4)
