@@ -89,7 +89,7 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
         if len(lost):
             n_missed += len(lost)
             p, n = (dr.gather(type(x), x, lost).numpy().T for x in (points.p, points.ray))
-            found = closest.query(p, n)
+            found = closest.query(p, n, candidates=4)
             dr.scatter(hits.face, upload(mi.UInt32, found.face), lost)
             dr.scatter(hits.b, upload(mi.Point2f, found.barycentric[:, 1:]), lost)
         hits.face = dr.select(hits.face == NO_FACE, 0, hits.face)
@@ -99,7 +99,7 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
         dr.eval(total)
     sums = np.stack([x.numpy() for x in total], 1).reshape(size, size, 15)
     if not sums[..., 14].any():
-        raise MeshError("the low-poly mesh covers no texel; its texture coordinates must lie in [0, 1]")
+        raise MeshError("the low-poly mesh covers no texel; it needs texture coordinates")
     return _finish(sums, n_missed / sums[..., 14].sum())
 
 

@@ -11,14 +11,13 @@ import numpy as np
 
 from ..errors import MeshError
 from ..latent.model import Mesh, Model
-from ..latent.tangents import split_mirrored
 from ..scenes.asset import Asset
-from .atlas import overlap_fraction
 from .bake import bake
-from .cleanup import Soup, clean, merge
+from .cleanup import clean, merge
 from .decimate import decimate
+from .kept import keep_mesh
 from .sphere import sphere
-from .unwrap import check, unwrap
+from .unwrap import unwrap
 
 log = logging.getLogger("mi_simplify")
 
@@ -29,12 +28,13 @@ TEXTURES = ("bake", "constant", "random")
 def first_guess(
     asset: Asset,
     *,
-    triangles: int,
+    triangles: int | None = None,
     atlas_size: int = 1024,
     textures: str = "bake",
     seed: int = 0,
     kind: str = "decimate",
     init: Asset | None = None,
+    keep_uv: bool = False,
     samples: int = 2,
     padding: int = 4,
     time_limit: float = 60.0,
@@ -48,17 +48,19 @@ def first_guess(
     asset : Asset
         The reference; the result is in the same frame.
     triangles : int
-        Budget, at least 4 and at most the asset's own count; not used for ``kind="mesh"``.
+        Budget, at least 4 and at most the asset's own count; without it ``kind="mesh"`` keeps all that it has.
     atlas_size : int
         Side of the textures [texels].
     textures : {'bake', 'constant', 'random'}
-        Ray-cast from the asset; the default grey; uniform noise around it.
+        Ray-cast from the asset; its mean; uniform noise. The last two have a flat normal map.
     seed : int
         Of the noise.
     kind : {'decimate', 'sphere', 'mesh'}
         Quadric edge collapse of the asset; an ellipsoid in its bounding box; the mesh of ``init``.
     init : Asset, optional
         Low-poly mesh in the frame of ``asset``, for ``kind="mesh"``. UVs without overlap are kept.
+    keep_uv : bool
+        Refuse ``init`` where its UVs cannot be kept.
     samples : int
         ``samples``² points are baked for every texel.
     padding : int
@@ -85,8 +87,24 @@ def first_guess(
     if kind == "mesh":
         if init is None:
             raise MeshError("a start from a mesh needs one: name the file")
-        mesh, more = keep_mesh(init, atlas_size=atlas_size, padding=padding, time_limit=time_limit)
+        n = init.n_triangles
+        if triangles is not None and triangles < n:
+            raise MeshError(
+                f"{init.name} has {n} triangles ({_n_positions(init)} vertices), above the budget of {triangles}; "
+                "ask for as many, or decimate it first"
+            )
+        if (init.bounds[0] > asset.bounds[1]).any() or (init.bounds[1] < asset.bounds[0]).any():
+            raise MeshError(
+                f"{init.name} does not stand where {asset.name} does: their boxes do not meet; export both in the same "
+                "place and unit"
+            )
+        mesh, more = keep_mesh(
+            init, keep_uv=keep_uv, atlas_size=atlas_size, padding=padding, time_limit=time_limit,
+            crease_angle=crease_angle,
+        )  # fmt: skip
     else:
+        if triangles is None:
+            raise MeshError("a budget of triangles is needed: name it")
         if kind == "decimate":
             positions, faces, more = reduced(asset, triangles)
             notes += more
@@ -99,7 +117,7 @@ def first_guess(
             positions, faces, atlas_size=atlas_size, padding=padding, time_limit=time_limit, crease_angle=crease_angle
         )
     notes += more
-    model = replace(_plain(mesh, atlas_size, textures, seed), name=asset.name)
+    model = replace(_plain(asset, mesh, atlas_size, textures, seed), name=asset.name)
     if textures == "bake":
         baked = bake(asset, mesh, size=atlas_size, samples=samples)
         if baked.missed > 0.05:
@@ -118,9 +136,20 @@ def first_guess(
 
 def quadrics_only(asset: Asset, triangles: int, *, atlas_size: int = 1024) -> tuple[Model, list[str]]:
     """
-    What a user would take instead: quadric decimation, colours carried over by closest point, flat normal map.
+    What a user would take instead: fast-simplification, colours carried over by closest point, no normal map.
+
+    The baseline of the reports. Smooth normals; ``triangles`` may exceed the asset's, which then stays as it is.
     """
-    positions, faces, notes = reduced(asset, triangles)
+    import fast_simplification
+
+    soup, notes = clean(merge(asset))
+    positions, faces = soup.positions, soup.position_faces
+    if triangles < len(faces):
+        scale = 100 / np.ptp(positions, axis=0).max()  # fast-simplification compares errors with absolute thresholds
+        points, faces = fast_simplification.simplify(
+            (positions * scale).astype(np.float32), faces.astype(np.int32), target_count=triangles
+        )
+        positions, faces = points.astype(np.float64) / scale, faces.astype(np.int64)
     mesh, more = unwrap(positions, faces, atlas_size=atlas_size)
     baked = bake(asset, mesh, size=atlas_size, samples=1, reach=0.0)
     mode, cutoff = alpha_of(asset, baked.base_color)
@@ -133,73 +162,49 @@ def reduced(asset: Asset, triangles: int) -> tuple[np.ndarray, np.ndarray, list[
     """
     Positions (P, 3) and faces (F, 3) of the cleaned and decimated asset, and what the clean-up did.
     """
-    if triangles < 4:
-        raise MeshError(f"a budget of {triangles} triangles is too small; ask for at least 4")
     if triangles > asset.n_triangles:
         raise MeshError(
-            f"the budget of {triangles} triangles is above the {asset.n_triangles} of {asset.name}; ask for fewer"
+            f"a budget of {triangles} triangles is above the input's own {asset.n_triangles} "
+            f"({_n_positions(asset)} vertices); ask for fewer"
         )
     soup, notes = clean(merge(asset))
     positions, faces = decimate(soup.positions, soup.position_faces, triangles)
     return positions, faces, notes
 
 
-def keep_mesh(
-    init: Asset, *, atlas_size: int = 1024, padding: int = 4, time_limit: float = 60.0
-) -> tuple[Mesh, list[str]]:
-    """
-    A mesh of the user's own, cleaned, with its UVs where they can be baked to.
-    """
-    soup, notes = clean(merge(init))
-    why = _unusable(init, soup)
-    if why:
-        notes.append(f"new texture coordinates: {why}")
-        mesh, more = unwrap(
-            soup.positions, soup.position_faces, atlas_size=atlas_size, padding=padding, time_limit=time_limit
-        )
-        return mesh, notes + more
-    mesh = _own_uvs(soup)
-    return mesh, notes + check(mesh, atlas_size)
+def _n_positions(asset: Asset) -> int:
+    """Vertices as a modelling program counts them: one where parts or seams meet."""
+    return len(merge(asset).positions)
 
 
-def _own_uvs(soup: Soup) -> Mesh:
-    """The soup with its vertices merged where position and UV agree."""
-    rows = np.column_stack([soup.position_index, soup.uvs])
-    rows, index = np.unique(rows, axis=0, return_inverse=True)
-    faces = index.reshape(-1)[soup.faces]
-    used, faces = np.unique(faces, return_inverse=True)
-    rows = rows[used]
-    mesh = Mesh(soup.positions, rows[:, 0].astype(np.int64), np.float32(rows[:, 1:]), faces.reshape(-1, 3))
-    return split_mirrored(mesh)
-
-
-def _unusable(init: Asset, soup: Soup) -> str:
-    """Why the UVs of a mesh cannot be baked to; empty if they can."""
-    if any(init.parts[i.part].uvs is None for i in init.instances):
-        return "the mesh has none everywhere"
-    used = soup.uvs[soup.faces]
-    if used.min() < -1e-4 or used.max() > 1 + 1e-4:
-        return "its own leave the unit square"
-    q = used.astype(np.float64)
-    d1, d2 = q[:, 1] - q[:, 0], q[:, 2] - q[:, 0]
-    if (np.abs(d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]) == 0).any():
-        return "some of its triangles have no area in the texture"
-    share = overlap_fraction(_own_uvs(soup))
-    return f"its own overlap on {share:.1%} of the texture" if share > 0.002 else ""
-
-
-def _plain(mesh: Mesh, size: int, textures: str, seed: int) -> Model:
-    """Grey, or noise around it; the normal map is flat either way."""
-    base = np.full((size, size, 4), 0.5, np.float32)
-    specular = np.full((size, size, 3), [0, 0.5, 0], np.float32)
+def _plain(asset: Asset, mesh: Mesh, size: int, textures: str, seed: int) -> Model:
+    """The asset's mean colour, or noise; the normal map is flat either way."""
+    base, specular = mean_material(asset)
+    base = np.broadcast_to(base, (size, size, 4)).copy()
+    specular = np.broadcast_to(specular, (size, size, 3)).copy()
     if textures == "random":
         rng = np.random.default_rng(seed)
-        base[...] = rng.random(base.shape, np.float32)
+        base[..., :3] = rng.random((size, size, 3), np.float32)
         specular[..., 1:] = rng.random((size, size, 2), np.float32) * [0.9, 0.2] + [0.1, 0]
     base[..., 3] = 1
     normal = np.zeros((size, size, 3), np.float32)
     normal[..., 2] = 1
     return Model(mesh, base, specular, normal)
+
+
+def mean_material(asset: Asset) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Mean base colour and opacity (4,) and mean (gamma, roughness, metallic) (3,) of an asset's textures, by area.
+    """
+    total, base, specular = 1e-30, np.zeros(4), np.zeros(3)
+    for part in asset.placed():
+        c = part.vertices[part.faces]
+        area = np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum()
+        tint = 1.0 if part.colors is None else part.colors.mean(0, dtype=np.float64)
+        base += area * part.material.base_color.mean((0, 1), dtype=np.float64) * tint
+        specular += area * part.material.specular.mean((0, 1), dtype=np.float64)
+        total += area
+    return np.float32(base / total), np.float32(specular / total)
 
 
 def alpha_of(asset: Asset, base_color: np.ndarray) -> tuple[str, float]:

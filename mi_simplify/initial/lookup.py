@@ -75,7 +75,7 @@ class LowPoly:
     Parameters
     ----------
     mesh : Mesh
-        UVs in [0, 1].
+        UVs without overlap; where they leave [0, 1] they repeat.
     reach : ndarray, shape (P,)
         Length of the rays at every position [world units].
     """
@@ -88,8 +88,9 @@ class LowPoly:
         index = mesh.position_index
         columns = [mesh.vertices, w, normals[mesh.normal_groups], reach[index], tangents, w, smooth[index], w]
         self.packets = _flat(np.column_stack(columns))
-        self.faces = upload(mi.UInt32, mesh.faces.ravel())
-        self.scene = _scene(np.column_stack([mesh.uvs, np.zeros(len(mesh.uvs))]), mesh.faces)
+        flat, faces = _tiled(mesh)
+        self.faces = upload(mi.UInt32, faces.ravel())
+        self.scene = _scene(np.column_stack([flat, np.zeros(len(flat))]), np.arange(len(flat)).reshape(-1, 3))
 
     def points(self, size: int, offset: tuple[float, float]) -> Points:
         """
@@ -106,6 +107,20 @@ class LowPoly:
         t = dr.normalize(tw.xyz - n * dr.dot(n, tw.xyz))
         w = dr.select(tw.w < 0, mi.Float(-1), 1)
         return Points(active, mi.Point3f(pw.xyz), n, t, w, nr.w, dr.normalize(sw.xyz))
+
+
+def _tiled(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Corners in the texture (3N, 2) and vertices (N, 3) of the faces, one copy for every tile that a face reaches."""
+    uv = mesh.uvs.astype(np.float64)[mesh.faces]
+    low = np.floor(uv.min(1)).astype(int)
+    high = np.maximum(np.ceil(uv.max(1)).astype(int) - 1, low)
+    corners, faces = [], []
+    for u in range(low[:, 0].min(), high[:, 0].max() + 1):
+        for v in range(low[:, 1].min(), high[:, 1].max() + 1):
+            here = (low <= [u, v]).all(1) & ([u, v] <= high).all(1)
+            corners.append(uv[here] - [u, v])
+            faces.append(mesh.faces[here])
+    return np.concatenate(corners).reshape(-1, 2), np.concatenate(faces)
 
 
 def _blend(packets: mi.Float, slots: int, corners: mi.Vector3u, b: mi.Point2f, active) -> list[mi.Vector4f]:
