@@ -83,8 +83,16 @@ _VARIANT = click.option("--variant", metavar="NAME", help="Mitsuba variant: llvm
 _JOB = _options(
     click.option("--preset", metavar="NAME", help="fast, balanced or best."),
     click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Override a config key; repeatable."),
+    click.option("--fixed-shape", is_flag=True, help="Fit textures alone; no vertex moves."),
+    click.option("--normal-only", is_flag=True, help="Fit the normal map alone."),
+    click.option(
+        "--skip", metavar="NAMES", multiple=True,
+        help="Leave these as the first guess has them, such as kd,orm: shape, kd (base_color, opacity), "
+        "orm (gamma, roughness, metallic), normal.",
+    ),  # fmt: skip
     _VARIANT,
 )
+_KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")
 _OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
 _OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the run that OUT holds.")
 _RESUME = click.option("--resume", is_flag=True, help="Go on with the unfinished run that OUT holds.")
@@ -101,19 +109,25 @@ def cli() -> None:
 @cli.command()
 @click.argument("asset")
 @click.option("--triangles", "-n", type=click.IntRange(min=4), help="Triangle budget of the result.")
+@click.option("--init", metavar="MESH", help="Start from this low-poly mesh file, or from a 'sphere'.")
+@_KEEP_UV
 @_OUT
 @click.option("--config", metavar="YAML", help="Settings to start from.")
 @_JOB
 @_OVERWRITE
 @_RESUME
 @_QUIET
-def simplify(asset, triangles, out, config, preset, settings, variant, overwrite, resume, quiet) -> None:
+def simplify(asset, triangles, init, keep_uv, out, config, settings, **options) -> None:
     """
     Simplify ASSET: a model file, a Mitsuba scene, or sample:relic for the embedded one.
     """
-    fixed = {"asset": asset} | ({} if triangles is None else {"initial": {"triangles": triangles}})
+    initial: dict[str, Any] = {} if triangles is None else {"triangles": triangles}
+    if init is not None:
+        initial |= {"kind": "sphere", "mesh": None} if init == "sphere" else {"kind": "mesh", "mesh": init}
+    if keep_uv:
+        initial["keep_uv"] = True
     name = asset.removeprefix("sample:")
-    _run(config, [*settings, fixed], preset, variant, out or _default_folder(name), overwrite, resume, quiet)
+    _run(config, out or _default_folder(name), [*settings, {"asset": asset, "initial": initial}], **options)
 
 
 @cli.command()
@@ -123,22 +137,25 @@ def simplify(asset, triangles, out, config, preset, settings, variant, overwrite
 @_OVERWRITE
 @_RESUME
 @_QUIET
-def run(config, out, preset, settings, variant, overwrite, resume, quiet) -> None:
+def run(config, out, settings, **options) -> None:
     """
     Run the job that the YAML file CONFIG describes.
     """
-    _run(config, settings, preset, variant, out or _default_folder(config), overwrite, resume, quiet)
+    _run(config, out or _default_folder(config), settings, **options)
 
 
 def _default_folder(name: str) -> Path:
     return Path("out", Path(name).stem)
 
 
-def _run(config, overrides, preset, variant, out, overwrite, resume, quiet) -> None:
-    from .config import load_config
+def _run(config, out, overrides, *, preset, variant, fixed_shape, normal_only, skip, overwrite, resume, quiet) -> None:
+    from .config import load_config, without
 
-    chosen = {} if variant is None else {"variant": variant}
-    settings = load_config(config, [*overrides, chosen], preset)
+    chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
+    if normal_only:
+        chosen["latent"] = {"optimize": ["normal"]}
+    names = [name.strip() for text in skip for name in text.split(",")] + ["shape"] * fixed_shape
+    settings = without(load_config(config, [*overrides, chosen], preset), names)
     _prepare(settings.variant)
     from .job import run_job
 
@@ -151,12 +168,13 @@ def _run(config, overrides, preset, variant, out, overwrite, resume, quiet) -> N
 @cli.command()
 @click.argument("reference")
 @click.argument("lowpoly")
+@_KEEP_UV
 @_OUT
 @click.option("--atlas-size", type=click.IntRange(16, 8192), default=1024, show_default=True, help="Texture side.")
 @_VARIANT
 @_OVERWRITE
 @_QUIET
-def bake(reference, lowpoly, out, atlas_size, variant, overwrite, quiet) -> None:
+def bake(reference, lowpoly, keep_uv, out, atlas_size, variant, overwrite, quiet) -> None:
     """
     Bake the look of REFERENCE into textures for LOWPOLY, a mesh of yours in the same place.
     """
@@ -166,7 +184,7 @@ def bake(reference, lowpoly, out, atlas_size, variant, overwrite, quiet) -> None
     with _progress(quiet) as progress:
         files = bake_job(
             reference, lowpoly, out or _default_folder(lowpoly), progress,
-            atlas_size=atlas_size, variant=variant, overwrite=overwrite,
+            keep_uv=keep_uv, atlas_size=atlas_size, variant=variant, overwrite=overwrite,
         )  # fmt: skip
     if not quiet:
         print("\n".join(str(path) for path in files.values()))

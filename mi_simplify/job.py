@@ -14,7 +14,7 @@ import numpy as np
 from . import __version__
 from .checkpoint import Checkpoint
 from .config import SAMPLE_PREFIX, Config, dump
-from .errors import AssetError, Defect, MeshError
+from .errors import AssetError, Defect
 from .export import export_model
 from .export.files import write_atomic
 from .fitting import FitResult, Run, fit
@@ -128,17 +128,14 @@ def guess_for(asset: Asset, config: Config, frame: Frame) -> tuple[Model, list[s
     initial = config.initial
     if initial.kind == "decimate" and isinstance(asset, SceneAsset):
         asset.require_triangles()
-    if initial.kind == "decimate" and initial.triangles > asset.n_triangles:
-        raise MeshError(
-            f"a budget of {initial.triangles} triangles is above the input's own {asset.n_triangles}; ask for fewer"
-        )
     return first_guess(
         asset,
         triangles=initial.triangles,
         atlas_size=initial.atlas_size,
         textures=initial.textures,
         kind=initial.kind,
-        init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh)),
+        init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh, purpose="low-poly mesh")),
+        keep_uv=initial.keep_uv,
         seed=config.seed,
         crease_angle=initial.crease_angle,
     )
@@ -315,6 +312,7 @@ def bake_job(
     out: str | Path,
     progress: ProgressCallback = silent,
     *,
+    keep_uv: bool = False,
     atlas_size: int = 1024,
     variant: str | None = None,
     overwrite: bool = False,
@@ -332,7 +330,7 @@ def bake_job(
     progress(Progress("load"))
     asset, init = open_asset(reference), open_asset(lowpoly)
     progress(Progress("bake"))
-    model, _ = first_guess(asset, triangles=init.n_triangles, atlas_size=atlas_size, kind="mesh", init=init)
+    model, _ = first_guess(asset, atlas_size=atlas_size, kind="mesh", init=init, keep_uv=keep_uv)
     progress(Progress("export"))
     with folder.opened(), folder.staged() as stage:
         files = export_model(model, stage, extras={"generator": f"mi_simplify {__version__}"})

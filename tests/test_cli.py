@@ -7,13 +7,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mi_simplify import cli, job
 from mi_simplify.config import load_config
-from mi_simplify.export import write_glb
+from mi_simplify.export import write_glb, write_obj
 from mi_simplify.latent.model import Mesh, Model
 from mi_simplify.output import RunFolder
 
@@ -129,9 +130,31 @@ def test_a_triangle_budget_below_four_or_above_the_input(tmp_path, rejected):
     assert "initial.triangles: should be greater than or equal to 4, got 3" in (
         rejected("simplify", sphere, "--set", "initial.triangles=3", "-o", "out")
     )
-    assert "budget of 9999 triangles is above the input's own 200" in (
+    assert "budget of 9999 triangles is above the input's own 200 (92 vertices); ask for fewer" in (
         rejected("simplify", sphere, "-n", "9999", "-o", "out")
     )
+
+
+def test_a_mesh_to_start_from_that_cannot_be_used(tmp_path, rejected):
+    sphere = str(bumpy_sphere(tmp_path, 10))
+    write_obj(tetrahedron(), tmp_path / "low.obj")  # its texture coordinates overlap
+    simplify = ("simplify", sphere, "-o", "out")
+    assert "the low-poly mesh '" in rejected(*simplify, "--init", "none.obj")
+    assert "none.obj' does not exist" in rejected(*simplify, "--init", "none.obj")
+    assert "sphere has 200 triangles (92 vertices), above the budget of 50" in (
+        rejected(*simplify, "--init", sphere, "-n", "50")
+    )
+    assert "texture coordinates of low cannot be kept: its own overlap on" in (
+        rejected(*simplify, "--init", "low.obj", "--keep-uv")
+    )
+    assert "texture coordinates of low cannot be kept" in rejected("bake", sphere, "low.obj", "--keep-uv", "-o", "out")
+    assert "`keep_uv` is about the texture coordinates of `mesh: FILE`" in rejected(*simplify, "--keep-uv", "-n", "50")
+
+
+def test_what_to_fit_that_makes_no_sense(rejected):
+    simplify = ("simplify", "sample:relic", "-o", "out")
+    assert "'colour' is nothing that is fitted" in rejected(*simplify, "--skip", "colour")
+    assert "nothing is left to fit" in rejected(*simplify, "--normal-only", "--skip", "kd,normal")
 
 
 # ------------------------------------------------------------------ configuration and usage
@@ -340,6 +363,33 @@ def test_options_reach_the_job(monkeypatch, tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.parametrize(
+    ("arguments", "initial", "optimize"),
+    [
+        (["--init", "sphere"], {"kind": "sphere", "mesh": None, "triangles": 3000}, None),
+        (["--init", "low.obj"], {"kind": "mesh", "mesh": "low.obj", "triangles": None, "keep_uv": False}, None),
+        (["--init", "low.obj", "--keep-uv", "-n", "9"], {"kind": "mesh", "keep_uv": True, "triangles": 9}, None),
+        (["--fixed-shape"], {}, ("base_color", "roughness", "metallic", "normal")),
+        (["--normal-only"], {}, ("normal",)),
+        (["--skip", "kd, orm"], {}, ("vertices", "normal")),
+        (["--skip", "kd", "--skip", "metallic", "--fixed-shape"], {}, ("roughness", "normal")),
+    ],
+)
+def test_options_of_the_start_and_of_what_is_fitted(arguments, initial, optimize, monkeypatch, tmp_path):
+    jobs = []
+    monkeypatch.setattr(job, "run_job", lambda config, *a, **k: jobs.append(config) or SimpleNamespace(summary=str))
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["simplify", "a.obj", *arguments]) == 0
+    found = jobs[0].initial.model_dump()
+    found["mesh"] = found["mesh"] and Path(found["mesh"]).name
+    assert {key: found[key] for key in initial} == initial
+    if optimize is not None:
+        assert jobs[0].latent.optimize == optimize
+        (tmp_path / "c.yaml").write_text("asset: b.obj\n")
+        assert cli.main(["run", "c.yaml", *arguments]) == 0
+        assert jobs[1].latent.optimize == optimize
+
+
 # ------------------------------------------------------------------ end to end
 
 
@@ -405,6 +455,46 @@ def test_evaluate_bake_and_render_on_the_result(toy, tmp_path, capsys):
     assert image[0, 0].max() == 0
     assert cli.main(["render", sphere, "-o", str(tmp_path / "p.exr"), "--resolution", "16", "--spp", "1"]) == 0
     assert (tmp_path / "p.exr").stat().st_size > 500
+
+
+@pytest.fixture(scope="module")
+def start(toy) -> tuple[Path, dict]:
+    """A low-poly mesh with UVs of its own, and the first guess that `simplify --init` makes of it, not fitted."""
+    low = toy / "out" / "model.obj"
+    guess = ["simplify", str(toy / "sphere.ply"), "--init", str(low), "--keep-uv", "--set", "optimizer.steps=0"]
+    guess += ["--set", "initial.textures=constant"]  # so that every quantity has something to gain
+    assert cli.main([*guess, "-o", str(toy / "guess"), "--quiet", *TOY]) == 0
+    return low, parts_of(toy / "guess" / "model.glb")
+
+
+def parts_of(path: Path) -> dict[str, np.ndarray]:
+    """What a fit may change, by the name that --skip has for it, and what it never does."""
+    from mi_simplify.scenes.load import load_asset
+
+    (part,) = load_asset(path).parts
+    material = part.material
+    return {"shape": part.vertices, "kd": material.base_color, "orm": material.specular, "normal": material.normal,
+            "uvs": part.uvs, "faces": part.faces}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fitted"),
+    [
+        (["--normal-only"], {"normal"}),
+        (["--fixed-shape"], {"kd", "orm", "normal"}),
+        (["--skip", "kd,orm"], {"shape", "normal"}),
+        (["--skip", "normal"], {"shape", "kd", "orm"}),
+    ],
+)
+def test_what_is_not_fitted_stays_to_the_bit(arguments, fitted, start, toy, tmp_path):
+    low, guess = start
+    run = ["simplify", str(toy / "sphere.ply"), "--init", str(low), "--keep-uv", "--set", "optimizer.steps=8"]
+    run += ["--set", "initial.textures=constant"]
+    fast = [f"--set=optimizer.rates.{name}=0.05" for name in ("base_color", "specular", "normal")]
+    assert cli.main([*run, *arguments, *fast, "--set=evaluation.every=8", "-o", str(tmp_path), "--quiet", *TOY]) == 0
+    result = parts_of(tmp_path / "model.glb")
+    changed = {name for name in result if not np.array_equal(result[name], guess[name])}
+    assert changed == fitted
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")

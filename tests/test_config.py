@@ -6,7 +6,7 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from mi_simplify.config import PRESETS, dump, json_schema, load_config, markdown
+from mi_simplify.config import PRESETS, dump, json_schema, load_config, markdown, without
 from mi_simplify.config.layers import parse_override
 from mi_simplify.config.problems import dotted_keys
 from mi_simplify.errors import ConfigError
@@ -44,6 +44,7 @@ def write(folder: Path, text: str) -> Path:
         ("latent.optimize=[normal, normal]", "^latent.optimize: should name nothing twice$"),
         ("initial.triangles=3", "^initial.triangles: should be greater than or equal to 4, got 3$"),
         ("initial.kind=mesh", "^initial: `kind: mesh` and `mesh: FILE` go together"),
+        ("initial.keep_uv=true", "^initial: `keep_uv` is about the texture coordinates of `mesh: FILE`, which is not"),
         ("reference.environment=sky.exr", "^reference: `environment` lights the reference alone"),
         ("variant=scalar_rgb", "^variant: should be 'llvm_ad_rgb' or 'cuda_ad_rgb', got 'scalar_rgb'$"),
         ("preset=fst", "^preset: unknown preset 'fst', did you mean 'fast'?; one of fast, balanced, best$"),
@@ -143,6 +144,39 @@ def test_a_single_value_stands_for_a_list_of_one():
     assert config.optimizer.resolution == (64,)
     assert config.export.formats == ("glb",)
     assert config.latent.optimize == ("normal",)
+
+
+def test_a_mesh_of_the_users_own_needs_no_budget(tmp_path):
+    assert load_config(None, [RELIC]).initial.triangles == 3000
+    assert load_config(None, [RELIC, "initial.triangles=null"]).initial.triangles == 3000
+    low = [RELIC, "initial.kind=mesh", "initial.mesh=low.obj"]
+    config = load_config(None, low)
+    assert config.initial.triangles is None
+    assert load_config(write(tmp_path, dump(config))) == config
+    assert load_config(None, [*low, "initial.triangles=9"]).initial.triangles == 9
+
+
+@pytest.mark.parametrize(
+    ("names", "left"),
+    [
+        ([], ("vertices", "base_color", "roughness", "metallic", "normal")),
+        (["kd", "orm"], ("vertices", "normal")),
+        (["shape"], ("base_color", "roughness", "metallic", "normal")),
+        (["vertices", "normal", "gamma"], ("base_color", "roughness", "metallic")),
+    ],
+)
+def test_what_is_skipped_is_not_fitted(names, left):
+    config = load_config(None, [RELIC, "seed=4"])
+    assert without(config, names).latent.optimize == left
+    assert without(config, names).seed == 4
+
+
+def test_wrong_names_of_quantities_are_one_line():
+    config = load_config(None, [RELIC])
+    with pytest.raises(ConfigError, match="'normals' is nothing that is fitted, did you mean 'normal'."):
+        without(config, ["normals"])
+    with pytest.raises(ConfigError, match="^nothing is left to fit"):
+        without(config, ["shape", "kd", "orm", "normal"])
 
 
 def test_a_config_is_frozen():

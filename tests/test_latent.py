@@ -65,3 +65,29 @@ def test_as_asset_is_the_same_mesh_with_its_normals_and_material():
         assert np.ptp(part.normals[first.mesh.position_index == k], axis=0).max() == 0
     assert part.material.base_color is first.base_color and part.material.normal is first.normal
     assert part.material.specular is first.specular and part.material.alpha_mode == "BLEND"
+
+
+@pytest.mark.parametrize(
+    ("quantities", "changed"),
+    [
+        ((), {}),
+        (("vertices",), {"positions"}),
+        (("base_color", "normal"), {"red", "green", "blue", "normal"}),
+        (("opacity", "metallic"), {"opacity", "metallic"}),
+        (("gamma", "roughness", "vertices"), {"gamma", "roughness", "positions"}),
+    ],
+)
+def test_a_fitted_model_gives_away_only_what_was_fitted(quantities, changed):
+    guess, other = model(0, alpha_mode="MASK"), model(1)
+    fitted = Latent(guess).model(other.mesh.positions)
+    fitted = Model(fitted.mesh, other.base_color, other.specular, other.normal)
+
+    def parts(m: Model) -> dict[str, np.ndarray]:
+        names = ("red", "green", "blue", "opacity", "gamma", "roughness", "metallic")
+        images = np.concatenate([m.base_color, m.specular], axis=2).transpose(2, 0, 1)
+        return {"positions": m.mesh.positions, "normal": m.normal, **dict(zip(names, images, strict=True))}
+
+    result = guess.taking(fitted, quantities)
+    assert result.alpha_mode == "MASK" and result.name == guess.name and result.mesh.faces is fitted.mesh.faces
+    for name, value in parts(result).items():
+        assert np.array_equal(value, parts(fitted if name in changed else guess)[name]), name

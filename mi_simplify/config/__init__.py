@@ -6,8 +6,9 @@ from .layers import SAMPLE_PREFIX as SAMPLE_PREFIX
 from .layers import dump as dump
 from .layers import load_config as load_config
 from .presets import PRESETS as PRESETS
+from .quantities import without as without
 from .reference import json_schema as json_schema
 from .reference import markdown as markdown
 from .schema import Config as Config
 
-__all__ = ["PRESETS", "SAMPLE_PREFIX", "Config", "dump", "json_schema", "load_config", "markdown"]
+__all__ = ["PRESETS", "SAMPLE_PREFIX", "Config", "dump", "json_schema", "load_config", "markdown", "without"]

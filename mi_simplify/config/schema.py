@@ -90,8 +90,17 @@ class Initial(Section):
     kind: Literal["decimate", "sphere", "mesh"] = Field(
         "decimate", description="Decimate the asset, start from a sphere, or take the mesh of a file."
     )
-    triangles: int = Field(3000, ge=4, description="Triangle budget of the result.")
-    mesh: FilePath | None = Field(None, description="Mesh file to start from; only with `kind: mesh`.")
+    triangles: int | None = Field(
+        None, ge=4, description="Triangle budget of the result; none: 3000, or as many as `mesh` has."
+    )
+    mesh: FilePath | None = Field(
+        None,
+        description="Mesh file to start from, in the asset's place and size; only with `kind: mesh`. Its textures are "
+        "not read, its texture coordinates are kept where they do not overlap.",
+    )
+    keep_uv: bool = Field(
+        False, description="Refuse a `mesh` whose texture coordinates cannot be kept instead of unwrapping it anew."
+    )
     atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
     crease_angle: float = Field(
         30.0,
@@ -103,10 +112,19 @@ class Initial(Section):
         "bake", description="Sample them from the asset, fill them with its mean, or with noise."
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _usual_budget(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("triangles") is None and data.get("kind") != "mesh":
+            return {**data, "triangles": 3000}
+        return data
+
     @model_validator(mode="after")
     def _mesh_is_named(self) -> Initial:
         if (self.kind == "mesh") != (self.mesh is not None):
             raise ValueError("`kind: mesh` and `mesh: FILE` go together, only one of them is set")
+        if self.keep_uv and self.mesh is None:
+            raise ValueError("`keep_uv` is about the texture coordinates of `mesh: FILE`, which is not set")
         return self
 
 

@@ -40,9 +40,10 @@ class Fit:
     """
 
     def __init__(self, model: Model, reference: Reference, config: Config):
-        self.config = config
+        self.config, self.first_guess = config, model
         optimize, rates = set(config.latent.optimize), config.optimizer.rates
-        self.latent = Latent(model, extended=bool(optimize & {"opacity", "gamma"}) or model.alpha_mode != "OPAQUE")
+        extended = bool(optimize & {"opacity", "gamma"}) or model.alpha_mode != "OPAQUE" or model.specular[..., 0].any()
+        self.latent = Latent(model, extended=bool(extended))
         mesh = self.latent.topology.mesh
         matched = config.reference.transport == "matched"
         self.renderer = DeferredRenderer(self.latent.topology, form=config.latent.shading, shadows=matched)
@@ -164,9 +165,10 @@ class Fit:
 
     def model(self) -> Model:
         """
-        The current state as a model.
+        The current state as a model; what is not optimised is the first guess's own.
         """
-        return self.latent.model(dr.detach(self.vertices.positions()).numpy())
+        fitted = self.latent.model(dr.detach(self.vertices.positions()).numpy())
+        return self.first_guess.taking(fitted, self.config.latent.optimize)
 
     def parameters(self) -> dict[str, np.ndarray]:
         """

@@ -4,6 +4,7 @@ The small textured mesh in plain NumPy: what the first guess makes, the fit impr
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,6 +105,30 @@ class Model:
         """
         mesh = replace(self.mesh, positions=self.mesh.positions * scale + np.asarray(offset))
         return replace(self, mesh=mesh)
+
+    def taking(self, fitted: Model, quantities: Collection[str]) -> Model:
+        """
+        Some quantities of a model fitted from this one, everything else as it is here, to the bit.
+
+        Parameters
+        ----------
+        quantities : collection of str
+            Of vertices, base_color, opacity, gamma, roughness, metallic, normal.
+        """
+        mesh = fitted.mesh
+        if "vertices" not in quantities:
+            mesh = replace(mesh, positions=self.mesh.positions)
+
+        def channels(name: str, owners: tuple[str, ...]) -> np.ndarray:
+            taken = np.array([owner in quantities for owner in owners])
+            return np.where(taken, getattr(fitted, name), getattr(self, name))
+
+        return replace(
+            self, mesh=mesh,
+            base_color=channels("base_color", ("base_color",) * 3 + ("opacity",)),
+            specular=channels("specular", ("gamma", "roughness", "metallic")),
+            normal=channels("normal", ("normal",) * 3),
+        )  # fmt: skip
 
     def as_asset(self) -> Asset:
         """
