@@ -83,18 +83,17 @@ class Checkpoint:
         """
         for leftover in self.folder.glob(".*.npz"):  # a process was killed while it wrote
             leftover.unlink(missing_ok=True)
+        saved = self._read(GUESS)
+        self._recognise(saved["identity"])
+        model = saved["model"]
+        guess = Model(**{**model, "mesh": Mesh(**model["mesh"])})
+        return guess, saved["notes"], self._read(STATE) if (self.folder / STATE).exists() else None
+
+    def _read(self, name: str) -> dict:
         try:
-            saved = read_archive(self.folder / GUESS)
-            self._recognise(saved["identity"])
-            model = saved["model"]
-            guess = Model(**{**model, "mesh": Mesh(**model["mesh"])})
-            state = read_archive(self.folder / STATE) if (self.folder / STATE).exists() else None
-        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
-            if isinstance(error, OutputError):
-                raise
-            what = " ".join(str(error).split()) or type(error).__name__
-            raise OutputError(f"{self.folder} cannot be read ({what}); pass --overwrite to begin anew") from None
-        return guess, saved["notes"], state
+            return read_archive(self.folder / name)
+        except (OSError, EOFError, ValueError, zipfile.BadZipFile):
+            raise OutputError(f"{self.folder} is damaged; pass --overwrite to begin anew") from None
 
     def _recognise(self, other: dict) -> None:
         """Raise unless the checkpoint is of this run."""

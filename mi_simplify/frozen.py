@@ -16,7 +16,8 @@ def frozen(*varying: str):
 
     A replay allocates what the recording allocated. ``dr.freeze`` by itself replays for arguments of any width, and
     kernels then write past the end of buffers that were made for another mesh; a function decorated with this is
-    recorded anew where an argument has a width or a plain number that it never had.
+    recorded anew where an argument has a width or a plain number that it never had, or where the number of threads has
+    changed, for each of which some buffers have a private copy.
 
     Parameters
     ----------
@@ -35,7 +36,8 @@ def frozen(*varying: str):
         names = list(inspect.signature(function).parameters)
 
         def widths(*args):
-            return [_widths(a) for name, a in zip(names, args, strict=True) if name not in varying]
+            named = zip(names, args, strict=True)
+            return [dr.thread_count(), *(_widths(value) for name, value in named if name not in varying)]
 
         return dr.freeze(function, state_fn=widths, warn_after=1000)
 

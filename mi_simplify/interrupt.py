@@ -21,6 +21,8 @@ class DeferredInterrupt:
 
     def __init__(self):
         self.pending = False
+        self.left_behind = ""
+        """What is there already and how to go on, for whoever interrupts."""
 
     def __enter__(self) -> Self:
         self._main = threading.current_thread() is threading.main_thread()
@@ -34,7 +36,7 @@ class DeferredInterrupt:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.pending:
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt(self.left_behind)
         self.pending = True
 
     def check(self) -> None:
@@ -42,4 +44,4 @@ class DeferredInterrupt:
         Raise :class:`KeyboardInterrupt` where one has been noted.
         """
         if self.pending:
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt(self.left_behind)

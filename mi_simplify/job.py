@@ -4,6 +4,7 @@ The main job: from an asset to a small textured model in files, with the figures
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ import numpy as np
 from . import __version__
 from .checkpoint import Checkpoint
 from .config import SAMPLE_PREFIX, Config, dump
-from .errors import AssetError, Defect
+from .errors import AssetError, Defect, OutputError
 from .export import export_model
 from .export.files import write_atomic
 from .fitting import FitResult, Run, fit
@@ -225,10 +226,10 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         clock.lap("fit", before=0.0 if state is None else state["seconds"])
         guess, model = frame.restored(guess), frame.restored(fitted.model)
         progress(Progress("export"))
-        with folder.staged() as stage:  # the model is kept, whatever happens while it is judged
-            files = export_model(model, stage, formats=config.export.formats, extras=_facts(config))
+        if folder.checkpoint.is_dir():
+            interrupt.left_behind = f"{folder.path} holds the finished fit; the same command with --resume judges it"
+        written = _export(model, folder, config)  # before it is judged, whatever happens there
         clock.lap("export")
-        written = folder.path / next(iter(files.values())).name
         result = load_asset(written)
         shown = self_check(fitted.model, frame.normalised(result), form=config.latent.shading)
         candidates = {"first guess": guess.as_asset(), "result": result}
@@ -292,13 +293,26 @@ def _fit(
         if not interrupt.pending:
             return
         run.judge()
-        with folder.staged() as stage:
-            model = frame.restored(run.result().model)
-            export_model(model, stage, formats=config.export.formats, extras=_facts(config))
+        _export(frame.restored(run.result().model), folder, config)
         done = f"{folder.path} holds the best model of {run.done} of {run.n_steps} steps"
         raise KeyboardInterrupt(f"{done}; the same command with --resume goes on" if saved else done)
 
     return fit(guess, reference, config, logged, keep, state)
+
+
+def _export(model: Model, folder: RunFolder, config: Config) -> Path:
+    """
+    Write the model in all formats, at another place where the folder has none left; returns the path of the first.
+    """
+    formats, extras = config.export.formats, _facts(config)
+    try:
+        with folder.staged() as stage:
+            files = export_model(model, stage, formats=formats, extras=extras)
+    except OutputError as error:
+        spare = Path(tempfile.mkdtemp(prefix="mi-simplify-"))
+        export_model(model, spare, formats=formats, extras=extras)
+        raise OutputError(f"{error}; the model is in {spare} instead") from None
+    return folder.path / next(iter(files.values())).name
 
 
 def _facts(config: Config) -> dict[str, str]:

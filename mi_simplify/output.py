@@ -113,10 +113,10 @@ class RunFolder:
         except UserError:
             if self.resume or (self.checkpoint / STATE).exists():
                 raise
-            for name in MARKS:
-                _remove(self.path / name)
-            for folder in made:
-                with contextlib.suppress(OSError):  # something else was put there meanwhile
+            with contextlib.suppress(OSError):  # something else was put there meanwhile
+                for name in MARKS:
+                    _remove(self.path / name)
+                for folder in made:
                     folder.rmdir()
             raise
 

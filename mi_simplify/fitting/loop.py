@@ -112,11 +112,11 @@ class Run:
         """Back to the best state, more carefully; after too many times that is where it ends."""
         self.setbacks += 1
         self.fit.retreat(self.best)
-        back = f"step {self.done}: not finite: {what}; back to the state of step {self.best_step}"
+        back = f"step {self.done}: NaN or infinity in the {what}; back to the state of step {self.best_step}"
         if self.setbacks < _MAX_SETBACKS:
             log.warning("%s, at half the rates", back)
         else:
-            log.warning("%s, which is kept: this happened %d times", back, self.setbacks)
+            log.warning("%s, which is kept: %d times is enough", back, self.setbacks)
             self.done = self.n_steps
 
     def result(self) -> FitResult:
