@@ -229,10 +229,10 @@ class DeferredRenderer:
         rays, lane = EdgeRays(cameras, samples), dr.arange(mi.UInt32, 2 * n)
         _, origin, direction = rays.at(lane)
         face, t = trace(self.tracer.scene, origin, direction)
-        seen = (face != MISS) & rays.seen(lane, direction, t)
+        seen = (face != MISS) & rays.seen(lane, face, self.edges, direction, t)
         dr.eval(face, seen)
-        # Behind other surfaces nothing jumps, not even where an edge of theirs falls onto the same line of the image.
-        keep = (face != MISS) & (seen | dr.gather(mi.Bool, seen, lane ^ 1))
+        shown = samples.shows(*(dr.gather(mi.Bool, seen, dr.arange(mi.UInt32, n) * 2 + k) for k in (0, 1)))
+        keep = (face != MISS) & dr.gather(mi.Bool, shown, lane // 2)
         hits = self._hits(_detached(surface), rays, face, keep)
         return None if hits is None else (rays, hits)
 

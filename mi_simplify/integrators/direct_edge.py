@@ -20,9 +20,6 @@ _LAYER_STEP = 5e-7
 #: How much farther off an edge either side is looked at with layers: the next one must be beyond :data:`_LAYER_STEP`.
 _LAYER_WIDTH = 8
 
-#: A ray meets an edge where its hit is closer to it than this fraction of its distance.
-_NEAR = 1e-3
-
 
 class DirectEdge(mi.ad.integrators.common.ADIntegrator):
     r"""
@@ -71,17 +68,15 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         self._edges: SceneEdges | None = None
         self._warned = False
 
-    def sample(self, mode, scene, sampler, ray, active=True, near=None, **_):
+    def sample(self, mode, scene, sampler, ray, active=True, at_edge=None, **_):
         """
         Radiance along camera rays, whether anything was hit, and (as the only AOV) coverage.
 
-        With points ``near``, one a ray, the last result says whether any layer was hit close to them.
+        With ``at_edge``, a function of hits, the last result says whether it is true of any layer.
         """
         ctx = mi.BSDFContext()
         radiance, through = mi.Spectrum(0), mi.Spectrum(1)
-        valid, alive, is_near = mi.Bool(False), mi.Bool(active), mi.Bool(False)
-        if near is not None:
-            reach2 = dr.squared_norm(near - ray.o) * _NEAR**2
+        valid, alive, meets_edge = mi.Bool(False), mi.Bool(active), mi.Bool(False)
         for layer in range(self.layers):
             if layer == 0:
                 si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True, active=alive)
@@ -91,21 +86,18 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 radiance += dr.select(alive, through * si.emitter(scene).eval(si, alive), 0)
             alive &= si.is_valid()
             valid |= alive
-            if near is not None:
-                is_near |= alive & (dr.squared_norm(si.p - near) < reach2)
+            if at_edge is not None:
+                meets_edge |= alive & at_edge(si)
             bsdf = si.bsdf(ray)
             lit = alive & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(lit), self.shadows, lit)
             lit &= ds.pdf != 0
             value = bsdf.eval(ctx, si, si.to_local(ds.d), lit)
             radiance += dr.select(lit, through * value * weight, 0)
-            if self.layers > 1:
-                through *= dr.select(alive, bsdf.eval_null_transmission(si, alive), 1)
-                alive &= dr.max(dr.detach(through)) > 1e-4
-            else:
-                through = dr.select(alive, 0, through)
+            through *= dr.select(alive, bsdf.eval_null_transmission(si, alive), 1)
+            alive &= dr.max(dr.detach(through)) > 1e-4
         coverage = 1 - dr.mean(through)
-        return radiance, valid, [coverage], is_near
+        return radiance, valid, [coverage], meets_edge
 
     @staticmethod
     def _behind(scene, ray, si, active):
@@ -184,18 +176,18 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             e = self._edges.edges.sample(positions, cameras, n, opaque_seed)
             flat = dr.detach(cameras)
             p = self._edges.point(positions, e)
-            sides, visible = [], mi.Bool(False)
+            sides, met = [], []
             step = e.step * (_LAYER_WIDTH if self.layers > 1 else 1)
             for s in (-step, step):
                 sampler = mi.load_dict({"type": "independent"})
                 sampler.seed(opaque_seed, n)  # the same light samples on both sides
                 origin, direction = flat.ray(e.view, e.x + s * e.nx, e.y + s * e.ny)
                 ray = mi.RayDifferential3f(origin, direction)
-                radiance, _, (coverage,), is_near = self.sample(dr.ADMode.Primal, scene, sampler, ray, near=p)
+                at_edge = lambda si, o=origin: self._edges.at_edge(si, e, p, o)  # noqa: E731
+                radiance, _, (coverage,), meets = self.sample(dr.ADMode.Primal, scene, sampler, ray, at_edge=at_edge)
                 sides.append([*radiance, coverage])
-                visible |= is_near
-            # What is hidden has no jump, unless an edge in front of it falls onto the same line.
-            weight = dr.select(visible, e.weight * spp, 0)
+                met.append(meets)
+            weight = dr.select(e.shows(*met), e.weight * spp, 0)
         x = cameras.project(e.view, self._edges.point(positions, e))
         motion = (x.x * e.nx + x.y * e.ny) * weight
         jump = [dr.replace_grad(mi.Float(0), (low - high) * motion) for low, high in zip(*sides, strict=True)]

@@ -70,6 +70,14 @@ class EdgeSet:
         n = dr.cross(p[1] - p[0], p[2] - p[0])
         return dr.ravel(mi.Vector4f(n.x, n.y, n.z, -dr.dot(n, mi.Vector3f(p[0]))))
 
+    def touches(self, face: mi.UInt32, end0: mi.UInt32, end1: mi.UInt32) -> mi.Bool:
+        """
+        Whether a face, where there is one, has one of two positions among its corners.
+        """
+        corners = [dr.gather(mi.UInt32, c, face, face < dr.width(c)) for c in self.faces]
+        touch = [(c == end0) | (c == end1) for c in corners]
+        return (touch[0] | touch[1] | touch[2]) & (face < dr.width(self.faces))
+
     def sample(
         self, positions: mi.Float, cameras: Cameras, n_samples: int, seed: mi.UInt32, image: mi.Float | None = None
     ) -> EdgeSamples:
@@ -122,6 +130,7 @@ class EdgeSet:
         # A point at fraction tau of the clipped segment *on the film*, then its parameter on the edge itself.
         a = tau * segment.z0 / dr.maximum(segment.z1 + tau * (segment.z0 - segment.z1), 1e-12)
         valid = segment.visible & (density > 0)
+        kind = dr.gather(mi.UInt32, self.kind, segment.edge)
         return EdgeSamples(
             view=view,
             end0=segment.end0,
@@ -134,24 +143,31 @@ class EdgeSet:
             weight=dr.select(valid, sum_ / (n_samples * density), 0),
             step=max(cameras.width, cameras.height) * dr.maximum(_STEP_FILM, _STEP_WORLD * magnitude),
             depth=depth,
+            outline=self._outline(planes, cameras, view, segment, kind)[0],
         )
 
     def _density(self, planes: mi.Float, cameras: Cameras, view, segment) -> mi.Float:
         """
         Importance of a pixel of edge length: 1 for silhouettes and open edges, less for creases, else 0.
         """
-        o = cameras.origin(view)
-        side = []
-        for f in (segment.face0, segment.face1):
-            plane = dr.gather(mi.Vector4f, planes, f)
-            side.append(dr.dot(plane.xyz, o) + plane.w > 0)
         kind = dr.gather(mi.UInt32, self.kind, segment.edge)
-        weight = dr.select((side[0] != side[1]) | (kind == OPEN), mi.Float(1), 0)
-        weight = dr.select((weight == 0) & (kind == CREASE), self.crease_weight, weight)
+        outline, front = self._outline(planes, cameras, view, segment, kind)
+        weight = dr.select(outline, mi.Float(1), dr.select(kind == CREASE, self.crease_weight, mi.Float(0)))
         if self.solid_box is None:
             return weight
+        o = cameras.origin(view)
         low, high = mi.ScalarPoint3f(self.solid_box[:3]), mi.ScalarPoint3f(self.solid_box[3:])
-        return dr.select(side[0] | side[1] | dr.all((o > low) & (o < high)), weight, 0)
+        return dr.select(front | dr.all((o > low) & (o < high)), weight, 0)
+
+    @staticmethod
+    def _outline(planes: mi.Float, cameras: Cameras, view, segment, kind) -> tuple[mi.Bool, mi.Bool]:
+        """
+        Whether an edge is a silhouette or open, and whether one of its faces at least is seen from the front.
+        """
+        o = cameras.origin(view)
+        plane0, plane1 = (dr.gather(mi.Vector4f, planes, f) for f in (segment.face0, segment.face1))
+        side0, side1 = (dr.dot(plane.xyz, o) + plane.w > 0 for plane in (plane0, plane1))
+        return (side0 != side1) | (kind == OPEN), side0 | side1
 
     def _segment(self, positions: mi.Float, cameras: Cameras, view: mi.UInt32, edge: mi.UInt32):
         """
@@ -203,9 +219,9 @@ def _contrast(image: mi.Float, cameras: Cameras, view: mi.UInt32, segment: _Segm
 _LEAST_CONTRAST = 0.2
 
 #: Steps to either side of an edge that rays in float32 still resolve: as a fraction of the film, and of the larger of
-#: depth and camera coordinates. Half of either loses some jumps in rounding; ten times either steps over the next edge
-#: of a fine mesh, whose outline zigzags by little more.
-_STEP_FILM, _STEP_WORLD = 5e-7, 3e-7
+#: depth and camera coordinates. Half of either loses some jumps in rounding; the outline of a fine mesh zigzags by
+#: little more, and what a step crosses besides its edge is an error in proportion to it.
+_STEP_FILM, _STEP_WORLD = 3e-7, 2e-7
 
 #: Nearest depth at which edges are followed [scene units].
 _NEAR = 1e-3
@@ -247,7 +263,8 @@ class EdgeSamples:
 
     ``end0 end1`` are positions, ``s`` the fraction between them, (x, y) the film position [pixels], (nx, ny) the unit
     normal of the edge on the film, ``weight`` the edge length [pixels] that the sample stands for, ``step`` how far off
-    the edge [pixels] either side is looked at, ``depth`` is along the view axis.
+    the edge [pixels] either side is looked at, ``depth`` is along the view axis, ``outline`` tells silhouettes and open
+    edges from creases.
     """
 
     view: mi.UInt32
@@ -261,6 +278,16 @@ class EdgeSamples:
     weight: mi.Float
     step: mi.Float
     depth: mi.Float
+    outline: mi.Bool
+
+    def shows(self, low: mi.Bool, high: mi.Bool) -> mi.Bool:
+        """
+        Whether the jump across each sample is its own, of whether rays to either side meet the edge.
+
+        Behind other surfaces nothing jumps, not even where an edge of theirs falls onto the same line of the film. A
+        crease is inside the surface: where one side of it misses that, a silhouette ran in between.
+        """
+        return dr.select(self.outline, low | high, low & high)
 
     def motion(self, cameras: Cameras, positions: mi.Float) -> mi.Float:
         """
@@ -292,13 +319,16 @@ class EdgeRays:
         x, y = dr.fma(side, take(e.nx), take(e.x)), dr.fma(side, take(e.ny), take(e.y))
         return view, *self.cameras.ray(view, x, y)
 
-    def seen(self, index: mi.UInt32, direction: mi.Vector3f, t: mi.Float) -> mi.Bool:
+    def seen(self, index: mi.UInt32, face: mi.UInt32, edges: EdgeSet, direction: mi.Vector3f, t: mi.Float) -> mi.Bool:
         """
-        Whether hits at distances ``t`` along rays of these directions lie at the edge, and not before or behind it.
+        Whether hits on faces at distances ``t`` along rays of these directions lie at the edge, not before or behind.
         """
-        view, depth = (dr.gather(type(a), a, index // 2) for a in (self.samples.view, self.samples.depth))
-        return dr.abs(t * dr.dot(direction, self.cameras.fetch(view, 3).xyz) - depth) < _AT_EDGE * depth
+        e, i = self.samples, index // 2
+        view, depth, end0, end1 = (dr.gather(type(a), a, i) for a in (e.view, e.depth, e.end0, e.end1))
+        is_near = dr.abs(t * dr.dot(direction, self.cameras.fetch(view, 3).xyz) - depth) < AT_EDGE * depth
+        return is_near | edges.touches(face, end0, end1)
 
 
-#: A ray meets an edge where its hit is closer to it than this fraction of its depth.
-_AT_EDGE = 1e-3
+#: A ray meets an edge where its hit is closer to it than this fraction of its depth, or on a face that touches it: a
+#: face seen edge-on gets farther away within a step. More than that for all would count what is hidden close behind.
+AT_EDGE = 1e-3

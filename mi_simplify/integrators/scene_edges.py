@@ -14,7 +14,7 @@ from ..scenes.shapes import POSITIONS, mesh_faces, mesh_positions
 from ..scenes.views import Views
 from ..upload import upload
 from .camera import Cameras
-from .edge_samples import EdgeSamples, EdgeSet
+from .edge_samples import AT_EDGE, EdgeSamples, EdgeSet
 from .edges import edge_table
 
 
@@ -89,6 +89,11 @@ class SceneEdges:
             # Materials are unknown here, so nothing is taken for granted about what lies behind.
             self.edges = EdgeSet(edge_table(all_faces, keys), all_faces)
         self._first = [upload(mi.UInt32, g) for g in gather]
+        # By the number that Dr.Jit's registry gives a shape, as hits carry it.
+        numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in self._shapes]
+        first_face = np.full(max(numbers, default=0) + 1, _NO_FACE)
+        first_face[numbers] = np.cumsum([0, *map(len, faces)])[:-1]
+        self._first_face = upload(mi.UInt32, first_face)
 
     def is_of(self, scene: mi.Scene) -> bool:
         """Whether the topology is that of this scene."""
@@ -101,6 +106,16 @@ class SceneEdges:
         """
         ends = [dr.gather(mi.Point3f, positions, i) for i in (samples.end0, samples.end1)]
         return dr.lerp(*ends, samples.s)
+
+    def at_edge(self, si: mi.SurfaceInteraction3f, e: EdgeSamples, p: mi.Point3f, origin: mi.Point3f) -> mi.Bool:
+        """
+        Whether hits of rays from ``origin`` lie at edge samples, which are at ``p``, and not before or behind them.
+        """
+        is_near = dr.squared_norm(si.p - p) < dr.squared_norm(p - origin) * AT_EDGE**2
+        number = dr.reinterpret_array(mi.UInt32, si.shape)
+        known = number < dr.width(self._first_face)
+        face = dr.gather(mi.UInt32, self._first_face, number, known) + dr.select(known, si.prim_index, _NO_FACE)
+        return is_near | self.edges.touches(face, e.end0, e.end1)
 
     def _refuse_moving_groups(self) -> None:
         """
@@ -137,6 +152,10 @@ class SceneEdges:
             return None
         welded = [dr.ravel(dr.gather(mi.Point3f, p, i)) for p, i in zip(positions, self._first, strict=True)]
         return welded[0] if len(welded) == 1 else dr.concat(welded)
+
+
+#: Index beyond those of all faces, also after one is added to it.
+_NO_FACE = 1 << 31
 
 
 def lights_move(scene: mi.Scene) -> bool:

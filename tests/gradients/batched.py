@@ -80,12 +80,12 @@ class Batched:
             frame = self.renderer.render(surface, textures, views, spp=spp, seed=dr.opaque(mi.UInt32, seed))
             return frame.image.numpy().T.reshape(self.shape)
 
-    def gradient(self, adjoint: np.ndarray, spp: int, seed: int, attach: tuple[str, ...] | None = None) -> State:
+    def gradient(self, adjoint: np.ndarray, spp: int, seed: int, attach=None, state: State | None = None) -> State:
         """
         Backward mode: the derivative of ``sum(adjoint * image)`` by what is in ``attach`` (default: the whole state).
         """
         attach = tuple(self.start) if attach is None else attach
-        positions, views, surface, textures = self._place(self.start, attach)
+        positions, views, surface, textures = self._place(state or self.start, attach)
         frame = self.renderer.render(surface, textures, views, spp=spp, seed=dr.opaque(mi.UInt32, seed))
         grad = upload(mi.Vector4f, adjoint.reshape(-1, 4))
         edge_seed = dr.opaque(mi.UInt32, seed + 7919)

@@ -160,14 +160,20 @@ class Plugin:
             return mi.render(self._mi_scene, spp=spp, seed=seed).numpy()[None]
 
     def gradient(
-        self, adjoint: np.ndarray, spp: int, seed: int, attach: tuple[str, ...] | None = None, integrator=None
+        self,
+        adjoint: np.ndarray,
+        spp: int,
+        seed: int,
+        attach: tuple[str, ...] | None = None,
+        state: State | None = None,
+        integrator=None,
     ) -> State:
         """
         Backward mode: the derivative of ``sum(adjoint * image)`` by what is in ``attach`` (default: the whole state).
 
         ``spp`` 0 leaves sample counts to the integrator.
         """
-        leaves = self._attached(tuple(self.start) if attach is None else attach)
+        leaves = self._attached(tuple(self.start) if attach is None else attach, state or self.start)
         image = self._render(spp, seed, integrator)
         dr.backward(dr.sum(image * _tensor(adjoint[0]), axis=None))
         out = {}
@@ -181,7 +187,7 @@ class Plugin:
         """
         Forward mode: the derivative of the image along a direction, shape (1, H, W, 4).
         """
-        leaves = self._attached(tuple(direction))
+        leaves = self._attached(tuple(direction), self.start)
         for name, value in direction.items():
             for leaf in leaves[name]:
                 if isinstance(leaf, mi.TensorXf):
@@ -198,8 +204,8 @@ class Plugin:
         image = self._render(spp, seed, integrator)
         return dr.forward_to(image).numpy()[None]
 
-    def _attached(self, attach: tuple[str, ...]) -> dict[str, list]:
-        leaves = self._leaves(self.start)
+    def _attached(self, attach: tuple[str, ...], state: State) -> dict[str, list]:
+        leaves = self._leaves(state)
         for name in attach:
             for leaf in leaves[name]:
                 dr.enable_grad(leaf)

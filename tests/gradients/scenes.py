@@ -50,6 +50,11 @@ class Parameter:
     eps: float
     direction: State
 
+    @property
+    def moves_edges(self) -> bool:
+        """Whether the image changes by jumps that move, too."""
+        return self.group in ("geometry", "vertex")
+
 
 @dataclass(frozen=True)
 class Scene:
