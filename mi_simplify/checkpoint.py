@@ -46,7 +46,7 @@ class Checkpoint:
     def __init__(self, folder: Path, config: Config, asset: Asset):
         self.folder, self.every = folder, config.export.checkpoint
         settings = config.model_dump(mode="json", exclude={"export": True})
-        self._identity = {"version": __version__, "asset": fingerprint(asset), "config": settings}
+        self._identity: dict[str, Any] = {"version": __version__, "asset": fingerprint(asset), "config": settings}
         self._saved, self._failed = time.monotonic(), False
 
     def begin(self, guess: Model, notes: list[str]) -> None:
@@ -137,7 +137,7 @@ def write_archive(path: Path, tree: dict) -> None:
     OutputError
         It cannot be written.
     """
-    arrays = {key: value for key, value in _leaves(tree) if isinstance(value, np.ndarray)}
+    arrays: dict[str, Any] = {key: value for key, value in _leaves(tree) if isinstance(value, np.ndarray)}
     plain = json.dumps({key: value for key, value in _leaves(tree) if key not in arrays})
 
     def write(temporary: Path) -> None:

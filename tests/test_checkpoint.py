@@ -18,11 +18,12 @@ import pytest
 from test_cli import bumpy_sphere, files
 from test_fit import textured_sphere
 
-from mi_simplify import cli
+from mi_simplify import cli, job
 from mi_simplify.checkpoint import Checkpoint, fingerprint, read_archive, write_archive
 from mi_simplify.config import load_config
 from mi_simplify.fitting import Run, fit
 from mi_simplify.job import run_job
+from mi_simplify.progress import Progress
 from mi_simplify.scenes.reference import make_reference
 
 TINY = [
@@ -352,10 +353,20 @@ def test_what_cannot_be_resumed_is_one_line_and_changes_nothing(stopped, capsys)
     assert "a run without a checkpoint, there is nothing to resume; pass --overwrite" in refused("--resume")
 
 
-def test_an_interrupted_run_goes_on_and_then_there_is_nothing_left_to_resume(stopped, capsys):
+def test_an_interrupted_run_goes_on_and_then_there_is_nothing_left_to_resume(stopped, monkeypatch, capsys):
     folder, command = stopped
     with open(folder / "out" / "log.jsonl", "a") as log:  # steps since the checkpoint, and a line torn in two
         log.write('{"stage": "fit", "step": 21}\n{"stage": "fit", "st')
+
+    def interrupted(*arguments, progress, **settings):
+        signal.raise_signal(signal.SIGINT)
+        progress(Progress("evaluate", 1, 6))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(job, "compare_assets", interrupted)
+        assert cli.main([*command, "--resume"]) == 130
+    expected = "interrupted: out holds the finished fit; the same command with --resume judges it"
+    assert capsys.readouterr().err.strip() == expected
     assert cli.main([*command, "--resume", "--set", "export.formats=[glb,obj]"]) == 0
     steps = [json.loads(line)["step"] for line in (folder / "out" / "log.jsonl").read_text().splitlines()]
     assert steps == [1, 11, 20, 21, 31, 40, 41, 51, 60]
