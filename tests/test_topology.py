@@ -43,6 +43,16 @@ def test_normals_weigh_by_angle_not_by_area_or_number_of_triangles():
     assert np.allclose(vertex_normals(CUBE, CUBE_FACES), CUBE / 3**0.5)
 
 
+def test_normals_by_area_keep_large_faces_flat_beside_narrow_ones():
+    """The same two quads: the longer, 9 times as large, has 9 times the say."""
+    positions = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 9, 1], [0, 9, 0]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 5, 1], [1, 5, 4]])
+    n = vertex_normals(positions, faces, by_area=True)
+    assert n[0] @ [9, 1, 0] / 82**0.5 > 0.999
+    assert np.allclose(vertex_normals(CUBE, CUBE_FACES, by_area=True), CUBE / 3**0.5)
+    assert np.allclose(vertex_normals(1e-6 * positions, faces, by_area=True), n)
+
+
 def test_normals_of_a_sphere_point_outwards_and_degenerate_ones_up():
     mesh = charted_sphere(8)
     n = vertex_normals(mesh.positions, mesh.position_faces)

@@ -103,7 +103,7 @@ class Initial(Section):
     )
     atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
     crease_angle: float = Field(
-        30.0,
+        20.0,
         ge=0,
         le=180,
         description="Edges of the first guess that turn by more than this get two normals [degrees]; 180: all smooth.",

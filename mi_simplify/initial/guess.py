@@ -38,7 +38,7 @@ def first_guess(
     samples: int = 2,
     padding: int = 4,
     time_limit: float = 60.0,
-    crease_angle: float = 30.0,
+    crease_angle: float = 20.0,
 ) -> tuple[Model, list[str]]:
     """
     A model to start from.

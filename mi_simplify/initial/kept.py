@@ -27,7 +27,7 @@ def keep_mesh(
     atlas_size: int = 1024,
     padding: int = 4,
     time_limit: float = 60.0,
-    crease_angle: float = 30.0,
+    crease_angle: float = 20.0,
 ) -> tuple[Mesh, list[str]]:
     """
     A low-poly mesh as it is, cleaned, with its UVs where they can be baked to and new ones where they cannot.

@@ -70,7 +70,7 @@ def unwrap(
         corners = normal_groups(positions, faces, crease_angle)
         group_position = np.empty(corners.max() + 1, np.int64)
         group_position[corners] = faces
-        normals = vertex_normals(positions, faces, corners)
+        normals = vertex_normals(positions, faces, corners, by_area=True)
         points = positions[group_position]
         index, uvs, out_faces = _run_xatlas(points, corners, normals, atlas_size, padding, time_limit)
     except _Failed as failure:

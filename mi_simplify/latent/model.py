@@ -46,10 +46,10 @@ class Mesh:
 
     def normals(self) -> np.ndarray:
         """
-        Angle-weighted unit normals, one a normal group, shape (G, 3), float64.
+        Unit normals weighted by area and angle, one a normal group, shape (G, 3), float64.
         """
         groups = None if self.normal_index is None else self.normal_index[self.faces]
-        return vertex_normals(self.positions, self.position_faces, groups)
+        return vertex_normals(self.positions, self.position_faces, groups, by_area=True)
 
     @property
     def vertices(self) -> np.ndarray:

@@ -55,7 +55,7 @@ class MeshTopology:
         """
         The surface of welded positions, flat ``x0 y0 z0 …``, width P·3; gradients flow back to them.
 
-        Normals are angle-weighted, tangents as in MikkTSpace (paper, Sect. 5.1): the functions of
+        Normals are weighted by area and angle, tangents as in MikkTSpace (paper, Sect. 5.1): the functions of
         ``topology.vertex_normals`` and ``tangents.vertex_tangents``, in Dr.Jit.
         """
         return Surface(dr.custom(_PacketsOp, self._stencil, positions), self.faces)
@@ -123,7 +123,6 @@ class _Stencil:
 
     def _normals(self, face_p: list[mi.Point3f]) -> mi.Float:
         n = dr.cross(face_p[1] - face_p[0], face_p[2] - face_p[0])
-        n *= dr.rsqrt(dr.maximum(dr.squared_norm(n), 1e-30))
         total = dr.zeros(mi.Float, self.n_normals * 4)
         for c in range(3):
             a = _unit(face_p[(c + 1) % 3] - face_p[c])

@@ -43,9 +43,14 @@ def corner_angles(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.arctan2(cross, np.einsum("fci,fci->fc", a, b))
 
 
-def vertex_normals(positions: np.ndarray, faces: np.ndarray, groups: np.ndarray | None = None) -> np.ndarray:
+def vertex_normals(
+    positions: np.ndarray, faces: np.ndarray, groups: np.ndarray | None = None, *, by_area: bool = False
+) -> np.ndarray:
     """
-    Angle-weighted unit normals (Thürmer and Wüthrich 1998).
+    Angle-weighted unit normals (Thürmer and Wüthrich 1998), or weighted by angle and area.
+
+    With areas a large flat face stays flat beside a narrow bevel; on a coarse mesh, where the two share a vertex, it
+    would else be shaded as if it were bent.
 
     Parameters
     ----------
@@ -54,6 +59,8 @@ def vertex_normals(positions: np.ndarray, faces: np.ndarray, groups: np.ndarray 
         Indices into ``positions``.
     groups : ndarray, shape (F, 3), optional
         Which corners share a normal; those of one position if not given.
+    by_area : bool
+        Weigh the faces by their areas, too.
 
     Returns
     -------
@@ -66,12 +73,14 @@ def vertex_normals(positions: np.ndarray, faces: np.ndarray, groups: np.ndarray 
     n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     length = np.linalg.norm(n, axis=1, keepdims=True)
     n = np.divide(n, length, out=np.zeros_like(n), where=length > 0)
-    weighted = n[:, None, :] * corner_angles(np.asarray(positions, np.float64), faces)[..., None]
+    weights = corner_angles(np.asarray(positions, np.float64), faces) * (length if by_area else 1.0)
+    weighted = n[:, None, :] * weights[..., None]
     out = np.zeros((n_groups, 3))
     for axis in range(3):
         out[:, axis] = np.bincount(groups.ravel(), weighted[..., axis].ravel(), n_groups)
     length = np.linalg.norm(out, axis=1, keepdims=True)
-    return np.where(length > 1e-12, out / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
+    least = 1e-12 * (np.max(weights, initial=0.0) if by_area else 1.0)
+    return np.where(length > least, out / np.maximum(length, 1e-300), [0.0, 1.0, 0.0])
 
 
 def normal_groups(positions: np.ndarray, faces: np.ndarray, crease_angle: float) -> np.ndarray:
