@@ -167,7 +167,10 @@ class RunFolder:
         """
         All results are there: nothing is left to resume.
         """
-        _remove(self.checkpoint)
+        with contextlib.suppress(OSError):  # at worst it stays
+            done = self.path / f"{_STAGE}{CHECKPOINT}"
+            os.replace(self.checkpoint, done)  # not half of it, whenever the process ends
+            _remove(done)
 
 
 def _step(line: str) -> float:

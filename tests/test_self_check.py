@@ -9,7 +9,7 @@ import trimesh
 from test_fit import textured_sphere
 
 from mi_simplify import cli
-from mi_simplify.export import export_model, textures
+from mi_simplify.export import export_model, gltf, textures
 from mi_simplify.latent.model import Model
 from mi_simplify.report.self_check import LEAST_PSNR, self_check
 from mi_simplify.scenes.load import load_asset
@@ -65,6 +65,13 @@ def test_mistakes_are_found(tmp_path):
     assert self_check(model, asset, resolution=96) > 55
     for what, wrong in mistakes.items():
         assert self_check(model, replace(asset, parts=(wrong,)), resolution=96) < LEAST_PSNR, what
+
+
+def test_tangents_of_the_wrong_hand_are_found(tmp_path, monkeypatch):
+    model, right = textured_sphere(), gltf.vertex_tangents
+    monkeypatch.setattr(gltf, "vertex_tangents", lambda *args: (right(*args)[0], -right(*args)[1]))
+    (asset,) = written(model, tmp_path)
+    assert self_check(model, asset, resolution=96) < LEAST_PSNR
 
 
 def test_a_file_that_shows_something_else_is_an_error_that_keeps_all_files(tmp_path, monkeypatch, capsys):

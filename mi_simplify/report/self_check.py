@@ -4,6 +4,8 @@ Whether a written file shows what was fitted.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -15,6 +17,7 @@ from ..latent.surface import MeshTopology, Surface
 from ..latent.tangents import vertex_tangents
 from ..latent.textures import Textures
 from ..scenes.asset import Asset, Part
+from ..scenes.gltf_file import GltfFile
 from ..scenes.shapes import part_normals
 from ..scenes.views import Views, held_out_views
 from ..upload import upload
@@ -29,7 +32,7 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     How alike the latent model and a file of it are, lit directly.
 
     Both are rendered by the renderer of the fit from the same sample positions, so that the difference is the file's.
-    Of the file nothing but its vertices, normals, texture coordinates and images is used.
+    Of the file nothing but its vertices, normals, tangents, texture coordinates and images is used.
 
     Parameters
     ----------
@@ -52,17 +55,28 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     positions = upload(mi.Float, latent.topology.mesh.positions.ravel())
     fitted = _render(latent.topology, latent.evaluate(positions), latent.textures, positions, views, form)
     (part,) = written.placed()
-    return float(psnr(fitted, _render(*_as_written(part), views, form)).mean())
+    return float(psnr(fitted, _render(*_as_written(part, _stored_tangents(written)), views, form)).mean())
 
 
-def _as_written(part: Part) -> tuple[MeshTopology, Surface, Textures, mi.Float]:
-    """The part on the device, with the normals of its file and MikkTSpace tangents of those."""
+def _stored_tangents(written: Asset) -> np.ndarray | None:
+    """Tangents and handedness that a GLB file carries, shape (V, 4); other formats have none."""
+    if not written.source.endswith(".glb"):
+        return None
+    file = GltfFile(Path(written.source), [])
+    return file.accessor(file.item("meshes", 0)["primitives"][0]["attributes"]["TANGENT"])
+
+
+def _as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, Surface, Textures, mi.Float]:
+    """The part on the device, with normals and tangents as in its file; MikkTSpace's tangents where it has none."""
     vertex = np.arange(len(part.vertices))
     topology = MeshTopology(Mesh(part.vertices, vertex, part.uvs, part.faces))
     mesh, normals = topology.mesh, part_normals(part)
-    tangents, w = vertex_tangents(mesh, normals)
+    if tangents is None:
+        t, w = vertex_tangents(mesh, normals)
+    else:
+        t, w = tangents[mesh.position_index, :3], tangents[mesh.position_index, 3]
     u, v = mesh.uvs[:, :1], mesh.uvs[:, 1:]
-    packets = np.concatenate([mesh.vertices, u, normals[mesh.position_index], v, tangents, w[:, None]], axis=1)
+    packets = np.concatenate([mesh.vertices, u, normals[mesh.position_index], v, t, w[:, None]], axis=1)
     material = part.material
     normal = np.float32([[[0, 0, 1]]]) if material.normal is None else material.normal
     images = (material.base_color, material.specular, normal)
