@@ -38,24 +38,24 @@ class Checkpoint:
     ----------
     folder : Path
     config : Config
-        With the asset, what a run is recognised by; what is exported may change on the way.
+        With the asset, what a run is recognised by; the asset's file may move, and what is exported may change.
     asset : Asset
         As it was read.
     """
 
     def __init__(self, folder: Path, config: Config, asset: Asset):
-        self.folder, self.every = folder, config.export.checkpoint
-        settings = config.model_dump(mode="json", exclude={"export": True})
+        self.folder, self.every, self._asset = folder, config.export.checkpoint, config.asset
+        settings = config.model_dump(mode="json", exclude={"asset": True, "export": True})
         self._identity: dict[str, Any] = {"version": __version__, "asset": fingerprint(asset), "config": settings}
         self._saved, self._failed = time.monotonic(), False
+        self._guess: dict[str, Any] = {}
 
     def begin(self, guess: Model, notes: list[str]) -> None:
         """
         Keep the first guess, from which a run without a state starts again.
         """
-        model = _as_dict(guess)
-        self._try(GUESS, {"identity": self._identity, "notes": notes, "model": model})
-        self._saved = time.monotonic()
+        self._guess = {"identity": self._identity, "notes": notes, "model": _as_dict(guess)}
+        self._try(GUESS, self._guess)
 
     def due(self) -> bool:
         """Whether the newest state is older than it should be."""
@@ -70,7 +70,8 @@ class Checkpoint:
         bool
             False where it could not be written: a warning says why, and the run goes on.
         """
-        return self._try(STATE, state)
+        # The first guess may be gone with the folder, or have found no room.
+        return ((self.folder / GUESS).exists() or self._try(GUESS, self._guess)) and self._try(STATE, state)
 
     def load(self) -> tuple[Model, list[str], dict | None]:
         """
@@ -83,11 +84,11 @@ class Checkpoint:
         """
         for leftover in self.folder.glob(".*.npz"):  # a process was killed while it wrote
             leftover.unlink(missing_ok=True)
-        saved = self._read(GUESS)
-        self._recognise(saved["identity"])
-        model = saved["model"]
+        self._guess = self._read(GUESS)
+        self._recognise(self._guess["identity"])
+        model = self._guess["model"]
         guess = Model(**{**model, "mesh": Mesh(**model["mesh"])})
-        return guess, saved["notes"], self._read(STATE) if (self.folder / STATE).exists() else None
+        return guess, self._guess["notes"], self._read(STATE) if (self.folder / STATE).exists() else None
 
     def _read(self, name: str) -> dict:
         try:
@@ -112,7 +113,7 @@ class Checkpoint:
                 )
         if other["asset"] != mine["asset"]:
             raise OutputError(
-                f"{self.folder} is of another asset: {here['asset']} has changed since; put the old one back, {way_out}"
+                f"{self.folder} is of another asset than {self._asset} is now; name the right one, {way_out}"
             )
 
     def _try(self, name: str, tree: dict) -> bool:

@@ -160,6 +160,9 @@ def test_a_disk_that_is_full_costs_a_warning_and_keeps_the_old_state(checkpoint,
     shutil.rmtree(checkpoint.folder)
     checkpoint.folder.write_text("in the way")
     assert not checkpoint.save({"done": 4})
+    checkpoint.folder.unlink()
+    assert checkpoint.save({"done": 5})
+    assert checkpoint.load()[0].name == model.name and checkpoint.load()[2] == {"done": 5}
 
 
 # ------------------------------------------------------------------ NaN
