@@ -150,14 +150,15 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         film = sensor.film()
         block, spp = self._splat(film, sensor, scene, seed, spp, mode)
         film.put_block(block)
-        edge_block = self._boundary(scene, sensor, seed, spp)
+        edge_block = self._boundary(scene, sensor, seed, spp, film)
         if edge_block is not None:
             film.put_block(edge_block)
         return film.develop()
 
-    def _boundary(self, scene, sensor, seed, spp):
+    def _boundary(self, scene, sensor, seed, spp, film):
         """
-        What moving edges do to the image: values of zero whose derivative is the jump times the motion.
+        What moving edges do to the image that is on the film: values of zero whose derivative is the jump times the
+        motion.
         """
         with dr.suspend_grad():
             if self._edges is None or not self._edges.is_of(scene):
@@ -168,12 +169,11 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             self._warned = True
         if positions is None:
             return None
-        film = sensor.film()
         cameras = sensor_cameras(sensor)
         n = max(1024, int(cameras.n_pixels * spp * self.edge_fraction))
         with dr.suspend_grad():
             opaque_seed = dr.opaque(mi.UInt32, seed) + 0x9E3779B9
-            e = self._edges.edges.sample(positions, cameras, n, opaque_seed)
+            e = self._edges.edges.sample(positions, cameras, n, opaque_seed, _shown(film))
             flat = dr.detach(cameras)
             p = self._edges.point(positions, e)
             sides, met = [], []
@@ -214,6 +214,19 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
 
     def to_string(self):
         return f"DirectEdge[shadows={self.shadows}, layers={self.layers}, edge_fraction={self.edge_fraction}]"
+
+
+def _shown(film) -> mi.Float | None:
+    """
+    What is on a film, flat RGBA (whatever its channels are, four of them), detached; None where it is cropped.
+    """
+    if dr.any(film.crop_size() != film.size()):
+        return None
+    image = dr.detach(film.develop())
+    n = image.shape[2]
+    channel = dr.minimum(dr.tile(dr.arange(mi.UInt32, 4), dr.prod(image.shape[:2])), n - 1)
+    pixel = dr.repeat(dr.arange(mi.UInt32, dr.prod(image.shape[:2])), 4)
+    return dr.gather(mi.Float, image.array, pixel * n + channel)
 
 
 mi.register_integrator("direct_edge", lambda props: DirectEdge(props))

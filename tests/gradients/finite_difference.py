@@ -141,7 +141,7 @@ def compare(
     spp: int = 256,
     gradient_spp: int = 64,
     target: float = 0.003,
-    rounds: tuple[int, int] = (8, 32),
+    rounds: tuple[int, int] = (4, 32),
     seed: int = 1,
 ) -> list[Pair]:
     """

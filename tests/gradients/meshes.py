@@ -99,10 +99,12 @@ def tube(sides: int = 6, segments: int = 24, radius: float = 0.03) -> Mesh:
 def fin(n: int = 3) -> Mesh:
     """
     Three open sheets that meet in one line: each of its edges has three faces.
+
+    At angles that keep the line's normal away from the sheets' tangents: where they align the tangent flips.
     """
     i, j, faces = _grid(n, n)
     vertices, uvs, all_faces = [], [], []
-    for k, angle in enumerate(np.radians([10, 120, 250])):
+    for k, angle in enumerate(np.radians([0, 65, 240])):
         r, y = 0.9 * i / n, 1.6 * j / n - 0.8
         vertices.append(np.stack([r * np.cos(angle), y, r * np.sin(angle)], 1))
         uvs.append(np.stack([(k + 0.1 + 0.8 * i / n) / 3, 1 - j / n], 1))

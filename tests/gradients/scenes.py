@@ -68,11 +68,11 @@ class Scene:
     film : (int, int)
         Width and height [pixels].
     waves : float
-        Phase of the adjoint's sinusoids over the longer side of the film [rad].
+        Phase of the adjoint's sinusoids over the longer side of the film [rad], such that no derivative nearly cancels.
     effort : int
         Samples for one that other scenes take.
     step : float
-        Half step of finite differences [pixels], about. Smooth shapes have a kink wherever a face turns away.
+        Half step of finite differences [pixels], about.
     """
 
     name: str
@@ -82,7 +82,7 @@ class Scene:
     n_texels: int = 32
     waves: float = 5.0
     effort: int = 1
-    step: float = 0.05
+    step: float = 0.25
 
     @property
     def mesh(self) -> Mesh:
@@ -242,37 +242,42 @@ def _close_up() -> Scene:
 
 _BUILD: dict[str, Callable[[], Scene]] = {
     "smooth, seams": lambda: Scene(
-        "smooth, seams", (meshes.sphere(),), _camera((0, 0.6, -3), (2.4, -0.8, 1.6)), (64, 48)
+        "smooth, seams", (meshes.sphere(),), _camera((0, 0.6, -3), (2.4, -0.8, 1.6)), (64, 48), waves=7
     ),
-    "cube": lambda: Scene("cube", (meshes.cube(),), _camera((1.3, 1.1, -2.4), (-1, 2.2, 1.8)), (64, 48), step=0.2),
+    "cube": lambda: Scene("cube", (meshes.cube(),), _camera((1.3, 1.1, -2.4), (-1, 2.2, 1.8)), (64, 48)),
     "open sheet": lambda: Scene(
-        "open sheet", (meshes.sheet(),), _camera((0.6, 0.9, -2.8), (2.5, 0.4, 1.4)), (64, 48), effort=3
+        "open sheet", (meshes.sheet(),), _camera((0.6, 0.9, -2.8), (2.5, 0.4, 1.4)), (64, 48), waves=6, effort=2
     ),
     "thin tube": lambda: Scene(
         "thin tube", (meshes.tube(),), _camera((0.3, 0.2, -3), (2.2, 1, 1.9), fov=20), (32, 80), waves=40, effort=4
     ),
-    "two objects": lambda: Scene("two objects", _two(), _camera((0.3, 0.5, -3), (1.6, 0.3, -2.6)), (64, 48), effort=2),
+    "two objects": lambda: Scene(
+        "two objects", _two(), _camera((0.3, 0.5, -3), (1.6, 0.3, -2.6)), (64, 48), waves=10, effort=2
+    ),
     "three faces an edge": lambda: Scene(
-        "three faces an edge", (meshes.fin(),), _camera((0.8, 1.2, -2.8), (-2.5, 0.4, 1.4)), (64, 48)
+        "three faces an edge", (meshes.fin(),), _camera((0.8, 1.2, -2.8), (-2.5, 0.4, 1.4)), (64, 48), waves=7
     ),
     "cut by the border": lambda: Scene(
         "cut by the border",
         (meshes.sphere(),),
         _camera((0.3, 0.5, -2.2), (2, 0.2, 0.9), target=(0.5, 0.2, 0.1), fov=35),
         (56, 40),
+        waves=6,
     ),
-    "hides itself": lambda: Scene("hides itself", (meshes.torus(),), _camera((0.2, 0.8, -3), (2.6, 1.1, 1)), (64, 48)),
+    "hides itself": lambda: Scene(
+        "hides itself", (meshes.torus(),), _camera((0.2, 0.8, -3), (2.6, 1.1, 1)), (64, 48), waves=10
+    ),
     "20k triangles": lambda: Scene(
-        "20k triangles", (meshes.sphere(100, 101),), _camera((0, 0.6, -3), (2.4, -0.8, 1.6)), (64, 48)
+        "20k triangles", (meshes.sphere(100, 101),), _camera((0, 0.6, -3), (2.4, -0.8, 1.6)), (64, 48), waves=10
     ),
     "small on a wide film": lambda: Scene(
         "small on a wide film",
         (meshes.torus(),),
         _camera((0.2, 0.8, -3), (2.6, 1.1, 1), fov=90),
         (120, 36),
-        waves=20,
+        waves=30,
         effort=2,
-        step=0.03,
+        step=0.15,
     ),
     "20k triangles, close-up": _close_up,
     "objects that cut through each other": lambda: Scene(
