@@ -25,7 +25,7 @@ __version__ = "0.1.0"
 _EXPORTS = {
     "Asset": "scenes.asset",
     "Config": "config",
-    "Frame": "job",
+    "Frame": "frame",
     "Model": "latent.model",
     "UserError": "errors",
     "bake": "initial",

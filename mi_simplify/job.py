@@ -4,26 +4,24 @@ The main job: from an asset to a small textured model in files, with the figures
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from . import __version__
 from .checkpoint import Checkpoint
 from .config import SAMPLE_PREFIX, Config, dump
-from .errors import AssetError, Defect, OutputError
+from .errors import AssetError, Defect
 from .export import export_model
 from .export.files import write_atomic
-from .fitting import FitResult, Run, fit
+from .frame import Frame
 from .initial import first_guess, quadrics_only
 from .interrupt import DeferredInterrupt
 from .latent.model import Model
 from .output import RunFolder
 from .progress import Progress, ProgressCallback, silent
+from .record import Record
 from .report.evaluate import compare_assets, save_comparison
 from .report.html import write_report
 from .report.self_check import LEAST_PSNR, self_check
@@ -33,44 +31,6 @@ from .scenes.load import load_asset
 from .scenes.read_mitsuba import SceneAsset
 from .scenes.reference import Reference, make_reference
 from .scenes.samples import sample_asset
-
-
-@dataclass(frozen=True)
-class Frame:
-    """
-    The normalised frame of an asset: its box has side 2 (the longest) and centre 0.
-
-    Parameters
-    ----------
-    scale : float
-        Normalised length of one unit of the file.
-    center : ndarray, shape (3,)
-        Centre of the asset's box [units of the file].
-    """
-
-    scale: float
-    center: np.ndarray
-
-    @staticmethod
-    def around(bounds: np.ndarray) -> Frame:
-        """
-        The frame of a box, shape (2, 3).
-        """
-        return Frame(2.0 / float((bounds[1] - bounds[0]).max()), bounds.mean(0))
-
-    def normalised(self, asset: Asset) -> Asset:
-        """
-        The asset in this frame.
-        """
-        to_frame = np.diag([self.scale, self.scale, self.scale, 1.0])
-        to_frame[:3, 3] = -self.scale * self.center
-        return asset.transformed(to_frame)
-
-    def restored(self, model: Model) -> Model:
-        """
-        A model of this frame back in the units of the file.
-        """
-        return model.transformed(1.0 / self.scale, self.center)
 
 
 @dataclass(frozen=True)
@@ -222,13 +182,14 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         if not folder.resume:
             write_atomic(folder.path / "config.yaml", dump(config))
             checkpoint.begin(guess, notes)
-        fitted = _fit(guess, reference, config, frame, folder, checkpoint, state, progress, interrupt)
+        record = Record(folder, checkpoint, interrupt, config, frame, _facts(config))
+        fitted = record.fit(guess, reference, state, progress)
         clock.lap("fit", before=0.0 if state is None else state["seconds"])
         guess, model = frame.restored(guess), frame.restored(fitted.model)
         progress(Progress("export"))
         if folder.checkpoint.is_dir():
             interrupt.left_behind = f"{folder.path} holds the finished fit; the same command with --resume judges it"
-        written = _export(model, folder, config)  # before it is judged, whatever happens there
+        written = record.export(model)  # before it is judged, whatever happens there
         clock.lap("export")
         result = load_asset(written)
         shown = self_check(fitted.model, frame.normalised(result), form=config.latent.shading)
@@ -261,58 +222,6 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             "all files are kept, please report this with them"
         )
     return Result(folder.path, guess, model, comparison.figures)
-
-
-def _fit(
-    guess: Model,
-    reference: Reference,
-    config: Config,
-    frame: Frame,
-    folder: RunFolder,
-    checkpoint: Checkpoint,
-    state: dict | None,
-    progress: ProgressCallback,
-    interrupt: DeferredInterrupt,
-) -> FitResult:
-    """The fit with its log and checkpoints; a keyboard interrupt leaves the model behind as far as it got."""
-    start = time.perf_counter()
-    if state is not None:
-        start -= state["seconds"]
-        folder.rewind_log(state["done"])
-        progress(Progress("fit", state["done"], config.optimizer.steps, message="resumed"))
-
-    def logged(event: Progress) -> None:
-        seconds = round(time.perf_counter() - start, 3)
-        folder.log(stage=event.stage, step=event.step, loss=event.loss, psnr=event.psnr, seconds=seconds)
-        progress(event)
-
-    def keep(run: Run) -> None:
-        if not (interrupt.pending or checkpoint.due() or run.done == run.n_steps):
-            return
-        saved = checkpoint.save(run.state())
-        if not interrupt.pending:
-            return
-        run.judge()
-        _export(frame.restored(run.result().model), folder, config)
-        done = f"{folder.path} holds the best model of {run.done} of {run.n_steps} steps"
-        raise KeyboardInterrupt(f"{done}; the same command with --resume goes on" if saved else done)
-
-    return fit(guess, reference, config, logged, keep, state)
-
-
-def _export(model: Model, folder: RunFolder, config: Config) -> Path:
-    """
-    Write the model in all formats, at another place where the folder has none left; returns the path of the first.
-    """
-    formats, extras = config.export.formats, _facts(config)
-    try:
-        with folder.staged() as stage:
-            files = export_model(model, stage, formats=formats, extras=extras)
-    except OutputError as error:
-        spare = Path(tempfile.mkdtemp(prefix="mi-simplify-"))
-        export_model(model, spare, formats=formats, extras=extras)
-        raise OutputError(f"{error}; the model is in {spare} instead") from None
-    return folder.path / next(iter(files.values())).name
 
 
 def _facts(config: Config) -> dict[str, str]:

@@ -1,0 +1,102 @@
+"""
+What a fit leaves behind while it runs: its log, its checkpoints, and the model as far as it got.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from .checkpoint import Checkpoint
+from .config import Config
+from .errors import OutputError
+from .export import export_model
+from .fitting import FitResult, Run, fit
+from .frame import Frame
+from .interrupt import DeferredInterrupt
+from .latent.model import Model
+from .output import RunFolder
+from .progress import Progress, ProgressCallback
+from .scenes.reference import Reference
+
+
+@dataclass(frozen=True)
+class Record:
+    """
+    The fit of a job, put on record in its folder.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        Opened.
+    checkpoint : Checkpoint
+        With the first guess.
+    interrupt : DeferredInterrupt
+    config : Config
+    frame : Frame
+        In which it is fitted.
+    facts : dict
+        What exported files say of themselves.
+    """
+
+    folder: RunFolder
+    checkpoint: Checkpoint
+    interrupt: DeferredInterrupt
+    config: Config
+    frame: Frame
+    facts: dict[str, str]
+
+    def fit(self, guess: Model, reference: Reference, state: dict | None, progress: ProgressCallback) -> FitResult:
+        """
+        Fit, from a checkpoint's state where there is one.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            After the running step; state and best model are in the folder.
+        """
+        start = time.perf_counter()
+        if state is not None:
+            start -= state["seconds"]
+            self.folder.rewind_log(state["done"])
+            progress(Progress("fit", state["done"], self.config.optimizer.steps, message="resumed"))
+
+        def logged(event: Progress) -> None:
+            seconds = round(time.perf_counter() - start, 3)
+            self.folder.log(stage=event.stage, step=event.step, loss=event.loss, psnr=event.psnr, seconds=seconds)
+            progress(event)
+
+        return fit(guess, reference, self.config, logged, self._keep, state)
+
+    def _keep(self, run: Run) -> None:
+        """After every step: a checkpoint where one is due, and the end where that is wanted."""
+        if not (self.interrupt.pending or self.checkpoint.due() or run.done == run.n_steps):
+            return
+        saved = self.checkpoint.save(run.state())
+        if not self.interrupt.pending:
+            return
+        run.judge()
+        self.export(self.frame.restored(run.result().model))
+        done = f"{self.folder.path} holds the best model of {run.done} of {run.n_steps} steps"
+        raise KeyboardInterrupt(f"{done}; the same command with --resume goes on" if saved else done)
+
+    def export(self, model: Model) -> Path:
+        """
+        Write a model, in the units of the file, in all formats; returns the path of the first.
+
+        Raises
+        ------
+        OutputError
+            The folder has no room for it, or is gone for good; where it is instead.
+        """
+        formats = self.config.export.formats
+        try:
+            with self.folder.staged() as stage:
+                files = export_model(model, stage, formats=formats, extras=self.facts)
+        except OutputError as error:
+            spare = Path(tempfile.mkdtemp(prefix="mi-simplify-"))
+            export_model(model, spare, formats=formats, extras=self.facts)
+            raise OutputError(f"{error}; the model is in {spare} instead") from None
+        return self.folder.path / next(iter(files.values())).name
