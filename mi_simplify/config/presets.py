@@ -10,5 +10,5 @@ PRESETS: dict[str, dict[str, Any]] = {
     # On two cores: about a minute, three to four minutes, and as long as it takes.
     "fast": {"optimizer": {"steps": 120}},
     "balanced": {},
-    "best": {"optimizer": {"steps": 2000, "batch": 8}, "reference": {"spp": 32}},
+    "best": {"optimizer": {"steps": 3000, "spp": 4}, "reference": {"spp": 32}},
 }

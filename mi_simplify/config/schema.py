@@ -68,7 +68,7 @@ class Reference(Section):
     spp: int = Field(16, ge=1, le=65536, description="Samples per pixel of a reference image.")
     max_depth: int = Field(6, ge=2, le=1024, description="Longest light path, in edges; only path tracing reads it.")
     pool: int = Field(128, ge=1, description="Rendered views held ready; a step draws its batch from them.")
-    refresh: int = Field(4, ge=0, description="Views of the pool rendered anew per step; 0 keeps the first ones.")
+    refresh: int = Field(2, ge=0, description="Views of the pool rendered anew per step; 0 keeps the first ones.")
     environment: FilePath | None = Field(
         None, description="Environment map (EXR or HDR) besides the point light; only with `transport: baked`."
     )
@@ -180,12 +180,12 @@ class LargeSteps(Section):
 class Optimizer(Section):
     """The optimisation loop."""
 
-    steps: int = Field(400, ge=0, description="Number of steps; 0 exports the first guess.")
-    batch: int = Field(4, ge=1, le=1024, description="Views per step.")
+    steps: int = Field(600, ge=0, description="Number of steps; 0 exports the first guess.")
+    batch: int = Field(8, ge=1, le=1024, description="Views per step.")
     resolution: Resolutions = Field(
         (256,), description="Image width and height [px], or a list of them from coarse to fine."
     )
-    spp: int = Field(4, ge=1, le=65536, description="Samples per pixel of a latent image.")
+    spp: int = Field(2, ge=1, le=65536, description="Samples per pixel of a latent image.")
     rates: Rates = Rates()
     decay: float = Field(0.05, gt=0, le=1, description="Factor by which the rates fall over the whole run.")
     large_steps: LargeSteps = LargeSteps()
