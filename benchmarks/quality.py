@@ -37,8 +37,12 @@ class Case:
     triangles: int
     targets: tuple[float | None, float | None, float | None] = (None, None, None)
     settings: list[str] = field(default_factory=list)
+    paper: bool = False
+    """Measured as in the paper: random views and lights, direct light without shadows."""
 
 
+SHAPE = ["latent.optimize=[vertices,normal]"]
+SPHERE = ["initial.kind=sphere", "initial.textures=constant", "optimizer.large_steps.lambda_=19"]
 CASES = [
     Case("skull, 1,000", "skull/skull.obj", 1000, (34.4, 0.0165, 0.0076)),
     Case("skull, 3,000", "skull/skull.obj", 3000, (41.8, 0.0078, 0.0031)),
@@ -50,6 +54,9 @@ CASES = [
     Case("milk truck, 1,500", "cesium_milk_truck/CesiumMilkTruck.glb", 1500),
     Case("bishop, 500", "bishop/bishop.glb", 500),
     Case("milk truck, 700", "cesium_milk_truck/CesiumMilkTruck.glb", 700),
+    Case("skull from a sphere, 3,000", "skull/skull.obj", 3000, (25.0, 0.051, None), [*SPHERE, *SHAPE], paper=True),
+    Case("skull reduced, 9,000", "skull/skull.obj", 9000, settings=SHAPE, paper=True),
+    Case("spot from a sphere, 3,000", "spot/spot.obj", 3000, (None, None, 0.03), SPHERE),
 ]
 
 
@@ -63,16 +70,45 @@ def run(case: Case, args: argparse.Namespace, folder: Path) -> None:
     result = ms.run_job(ms.load_config(overrides=[*overrides, *args.set]), folder, overwrite=True)
     seconds = time.perf_counter() - start
     candidates = {"quadrics, baked": quadrics(asset, case.triangles), "first guess": result.guess}
-    for name, model in candidates.items():
-        ms.export_model(model, folder / name, formats=("glb",))
-    paths = [folder / name / "model.glb" for name in candidates] + [folder / "model.glb"]
-    command = [sys.executable, args.judge, asset, *paths, "--png", folder / "judge.png"]
-    rows = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True).stdout.splitlines()
-    names = [*candidates, "result"]
-    figures = dict(zip(names, (json.loads(row) for row in rows if row.startswith("{")), strict=True))
+    if case.paper:
+        figures = as_in_the_paper(ms.load_asset(asset), {**candidates, "result": result.model}, folder / "judge.png")
+    else:
+        figures = judged(args.judge, asset, candidates, folder)
     stages = result.figures["run"]["seconds"]
     record = {"case": case.name, "seconds": seconds, "fit_seconds": stages["fit"], "figures": figures}
     (folder / "judged.json").write_text(json.dumps(record, indent=1))
+
+
+def judged(judge: Path, asset: Path, candidates: dict[str, ms.Model], folder: Path) -> dict[str, dict]:
+    """
+    What the outside program says of candidates and of the folder's ``model.glb``.
+    """
+    for name, model in candidates.items():
+        ms.export_model(model, folder / name, formats=("glb",))
+    paths = [folder / name / "model.glb" for name in candidates] + [folder / "model.glb"]
+    command = [sys.executable, judge, asset, *paths, "--png", folder / "judge.png"]
+    rows = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True).stdout.splitlines()
+    rows = [json.loads(row) for row in rows if row.startswith("{")]
+    return dict(zip([*candidates, "result"], rows, strict=True))
+
+
+def as_in_the_paper(asset: ms.Asset, models: dict[str, ms.Model], picture: Path) -> dict[str, dict]:
+    """
+    Figures over 16 random views of 512² with the fit's own light and framing, which no fit has seen; black background.
+    """
+    from PIL import Image
+
+    from mi_simplify.report.metrics import compare
+    from mi_simplify.report.pictures import shown
+    from mi_simplify.scenes.views import goniometer
+
+    frame = ms.Frame.around(asset.bounds)
+    views = goniometer(16, np.random.default_rng(20_26), width=512, height=512)
+    assets = [asset, *(model.as_asset() for model in models.values())]
+    images = [ms.make_reference(frame.normalised(a), transport="direct", spp=64).render(views) for a in assets]
+    sheet = np.concatenate([np.concatenate(list(shown(image[:4])), 1) for image in images])
+    Image.fromarray(sheet).resize((sheet.shape[1] // 2, sheet.shape[0] // 2)).save(picture)
+    return {name: compare(images[0], image) for name, image in zip(models, images[1:], strict=True)}
 
 
 def quadrics(path: Path, triangles: int) -> ms.Model:
