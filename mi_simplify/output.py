@@ -97,7 +97,7 @@ class RunFolder:
     def opened(self) -> Iterator[RunFolder]:
         """
         Make the folder, without what an earlier run left unless that is resumed; where the user's input turns out to be
-        wrong before there is anything to resume, nothing of it stays behind.
+        wrong before there is a model or anything to resume, nothing of it stays behind.
         """
         made = [p for p in (self.path, *self.path.parents) if not p.exists()]
         try:
@@ -111,7 +111,7 @@ class RunFolder:
         try:
             yield self
         except UserError:
-            if self.resume or (self.checkpoint / STATE).exists():
+            if self.resume or (self.checkpoint / STATE).exists() or any(self.path.glob("model.*")):
                 raise
             with contextlib.suppress(OSError):  # something else was put there meanwhile
                 for name in MARKS:

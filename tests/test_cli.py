@@ -1,5 +1,6 @@
 """The command line: every bad input is exit code 2, one line, nothing written; a toy job runs end to end."""
 
+import errno
 import json
 import os
 import signal
@@ -220,6 +221,19 @@ def test_a_user_error_after_the_start_leaves_nothing_behind(tmp_path):
         folder.log(step=1)
         raise MeshError("too late")
     assert files(tmp_path) == set()
+
+
+def test_a_model_that_is_written_stays_when_its_report_cannot_be(tmp_path):
+    from mi_simplify.errors import OutputError
+
+    folder = RunFolder(tmp_path / "out")
+    with pytest.raises(OutputError, match="cannot write .*out: No space left on device; make room"), folder.opened():
+        with folder.staged() as stage:
+            (stage / "model.glb").write_text("good")
+        with folder.staged() as stage:
+            (stage / "report.html").write_text("half")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert files(tmp_path / "out") == {"model.glb"}
 
 
 def test_overwriting_removes_what_the_earlier_run_left(tmp_path):
