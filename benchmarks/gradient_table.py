@@ -43,9 +43,9 @@ Every gradient that the renderers give is compared with a central finite differe
 this table and `make slow` all of it.
 
 How it is measured: the image is weighted with slow sinusoids over the film and summed, in backward mode. The two
-renders of a difference use the same film positions (a lattice or a multi-jittered grid in every pixel, 256 samples or
+renders of a difference use the same film positions (a lattice or a multi-jittered grid in every pixel, 512 samples or
 more). A difference of any width equals exactly the *mean of the derivative over its interval*, and that is what ours
-is: gradients at places spread over the interval, a quarter of a pixel to either side. So nothing is lost to the kinks
+is: gradients at places spread over the interval, a seventh of a pixel to either side. So nothing is lost to the kinks
 that a triangle mesh has wherever a face turns away (differences against the gradient in the middle are up to 4 % off),
 and the step can be wide, which makes differences quiet. Numbers are means over independent seeds, ± their standard
 errors. *Off* is the deviation over max(|difference|, a tenth of the RMS over the scene's parameters of that kind). A
@@ -117,7 +117,7 @@ def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", help="titles of cases, separated by commas")
-    parser.add_argument("--rounds", type=int, default=32, help="most rounds of a pair")
+    parser.add_argument("--rounds", type=int, default=64, help="most rounds of a pair")
     parser.add_argument("--dry", action="store_true", help="print, but leave docs/gradients.md alone")
     args = parser.parse_args()
     wanted = [name.strip() for name in args.only.split(",")] if args.only else None
@@ -138,7 +138,7 @@ def main() -> None:
         for case in cases():
             if wanted is not None and case.title not in wanted:
                 continue
-            pairs = case.measure(rounds=(4, args.rounds))
+            pairs = case.measure(rounds=(8, args.rounds))
             rows += [row(p) for p in pairs]
             print("\n".join(row(p) for p in pairs), flush=True)
             if section in PROMISED:

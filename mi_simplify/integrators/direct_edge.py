@@ -163,7 +163,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         with dr.suspend_grad():
             if self._edges is None or not self._edges.is_of(scene):
                 self._edges = SceneEdges(scene)
-        positions = self._edges.moving_positions(sensor)
+        positions = self._edges.moving_positions(scene, sensor)
         if self.shadows and not self._warned and (positions is not None or lights_move(scene)):
             log.warning("direct_edge: derivatives of shadow borders are not computed; shadows are constants")
             self._warned = True
@@ -202,7 +202,17 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
 
     def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
         image = self._attached(scene, sensor, seed, spp, dr.ADMode.Forward)
-        dr.forward_to(image)
+        try:
+            dr.forward_to(image)
+        except RuntimeError as error:
+            if "isolate_grad" not in str(error):
+                raise
+            # Calls of BSDFs and emitters reach those of all scenes that live.
+            raise UserError(
+                "direct_edge: in forward mode derivatives must have reached the scene's parameters, and no other scene"
+                " that lives may carry any: call dr.forward(variable, dr.ADFlag.ClearEdges) after params.update() and"
+                " before mi.render, and disable the gradients of other scenes"
+            ) from error
         return dr.grad(image)
 
     def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):

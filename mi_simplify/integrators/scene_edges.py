@@ -60,14 +60,13 @@ class SceneEdges:
     """
     The edges of all triangle meshes of a scene, over positions welded per mesh.
 
-    Topology is found once a scene; positions are read from the shapes at every call.
+    Topology is found once a scene; positions are read from the shapes at every call. Only shapes are held: a scene
+    holds its integrator, whose edges must not hold the scene, or neither is ever freed.
     """
 
     def __init__(self, scene: mi.Scene):
         self._shapes = [s for s in scene.shapes() if s.is_mesh()]
         self._others = [s for s in scene.shapes() if not s.is_mesh()]
-        self._key = [id(s) for s in scene.shapes()]
-        self._scene = scene
         gather, tables, faces, n_positions = [], [], [], 0
         for mesh in self._shapes:
             vertices = dr.detach(mesh_positions(mesh)).numpy().reshape(-1, 3)
@@ -97,7 +96,7 @@ class SceneEdges:
 
     def is_of(self, scene: mi.Scene) -> bool:
         """Whether the topology is that of this scene."""
-        return self._scene is scene and self._key == [id(s) for s in scene.shapes()]
+        return {id(s) for s in self._shapes + self._others} == {id(s) for s in scene.shapes()}
 
     @staticmethod
     def point(positions: mi.Float, samples: EdgeSamples) -> mi.Point3f:
@@ -117,19 +116,19 @@ class SceneEdges:
         face = dr.gather(mi.UInt32, self._first_face, number, known) + dr.select(known, si.prim_index, _NO_FACE)
         return is_near | self.edges.touches(face, e.end0, e.end1)
 
-    def _refuse_moving_groups(self) -> None:
+    def _refuse_moving_groups(self, scene: mi.Scene) -> None:
         """
         Raise where a mesh moves that is in the scene only through instances.
         """
         own = {f"{s.id()}.{POSITIONS}" for s in self._shapes}
-        for key, value in mi.traverse(self._scene):
+        for key, value in mi.traverse(scene):
             if key.endswith("." + POSITIONS) and key not in own and dr.grad_enabled(value):
                 raise UserError(
                     f"direct_edge: '{key}' moves inside an instance, whose silhouette has no gradient here;"
                     " place the mesh itself in the scene"
                 )
 
-    def moving_positions(self, sensor: mi.Sensor) -> mi.Float | None:
+    def moving_positions(self, scene: mi.Scene, sensor: mi.Sensor) -> mi.Float | None:
         """
         Welded positions of all meshes, flat, attached where they move; None where nothing visible moves.
 
@@ -146,7 +145,7 @@ class SceneEdges:
                     " here; turn it into a mesh, or keep it and the camera still"
                 )
         if self._others:
-            self._refuse_moving_groups()
+            self._refuse_moving_groups(scene)
         positions = [mesh_positions(mesh) for mesh in self._shapes]
         if self.edges is None or not (camera_moves or any(dr.grad_enabled(p) for p in positions)):
             return None

@@ -49,7 +49,7 @@ class Case:
         renderer = self.build(scene)
         adjoint = film_weights(scene, renderer.shape[0])
         wanted = [p for p in parameters(scene, renderer.start) if self.only is None or p.name in self.only]
-        counts = {"spp": 256 * scene.effort, "gradient_spp": 64 * scene.effort}
+        counts = {"spp": 512 * scene.effort, "gradient_spp": 64 * scene.effort}
         pairs = compare(renderer, self.title, wanted, adjoint, **(counts | options))
         if self.rival:
             self._measure_rival(renderer, pairs, adjoint)

@@ -173,7 +173,7 @@ class Plugin:
 
         ``spp`` 0 leaves sample counts to the integrator.
         """
-        leaves = self._attached(tuple(self.start) if attach is None else attach, state or self.start)
+        leaves = self.attach(tuple(self.start) if attach is None else attach, state)
         image = self._render(spp, seed, integrator)
         dr.backward(dr.sum(image * _tensor(adjoint[0]), axis=None))
         out = {}
@@ -187,7 +187,7 @@ class Plugin:
         """
         Forward mode: the derivative of the image along a direction, shape (1, H, W, 4).
         """
-        leaves = self._attached(tuple(direction), self.start)
+        leaves = self.attach(tuple(direction))
         for name, value in direction.items():
             for leaf in leaves[name]:
                 if isinstance(leaf, mi.TensorXf):
@@ -204,8 +204,11 @@ class Plugin:
         image = self._render(spp, seed, integrator)
         return dr.forward_to(image).numpy()[None]
 
-    def _attached(self, attach: tuple[str, ...], state: State) -> dict[str, list]:
-        leaves = self._leaves(state)
+    def attach(self, attach: tuple[str, ...], state: State | None = None) -> dict[str, list]:
+        """
+        Place the scene in a state, ``start`` if not given, with gradients on the leaves of what is in ``attach``.
+        """
+        leaves = self._leaves(state or self.start)
         for name in attach:
             for leaf in leaves[name]:
                 dr.enable_grad(leaf)

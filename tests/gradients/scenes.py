@@ -82,7 +82,7 @@ class Scene:
     n_texels: int = 32
     waves: float = 5.0
     effort: int = 1
-    step: float = 0.25
+    step: float = 0.15
 
     @property
     def mesh(self) -> Mesh:
@@ -277,7 +277,7 @@ _BUILD: dict[str, Callable[[], Scene]] = {
         (120, 36),
         waves=30,
         effort=2,
-        step=0.15,
+        step=0.1,
     ),
     "20k triangles, close-up": _close_up,
     "objects that cut through each other": lambda: Scene(

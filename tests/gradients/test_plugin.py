@@ -5,22 +5,22 @@ Gradients of the `direct_edge` plugin through ``mi.render``: a slice here, all o
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
-from pathlib import Path
+import gc
 
 import mitsuba as mi
 import numpy as np
 import pytest
 
+from mi_simplify.errors import UserError
+
 from . import scenes
 from .batched import Batched
 from .cases import PROMISED, SECTIONS
-from .finite_difference import compare
+from .finite_difference import along, compare
 from .plugin import Plugin
 from .scenes import Scene, film_weights, parameters
 
-_QUICK = {"spp": 256, "gradient_spp": 16, "target": 0.006, "rounds": (4, 8)}
+_QUICK = {"gradient_spp": 32, "target": 0.005, "rounds": (8, 16)}
 
 
 @pytest.fixture(autouse=True)
@@ -35,22 +35,28 @@ def quiet():
 def _check(renderer: Plugin, scene: Scene, names: tuple[str, ...], **options) -> None:
     wanted = [p for p in parameters(scene, renderer.start) if p.name in names]
     pairs = compare(renderer, scene.name, wanted, film_weights(scene, 1), **(_QUICK | options))
-    quiet = [p for p in pairs if p.noise < 0.01]
-    assert len(quiet) >= len(names) - 1, [str(p) for p in pairs if p not in quiet]
-    assert not [str(p) for p in quiet if not p.passes]
+    assert len(pairs) == len(names)
+    assert not [str(p) for p in pairs if not p.passes]
 
 
-@pytest.mark.parametrize("name, rfilter", [("cube", "box"), ("hides itself", "gaussian")])
-def test_slice(name, rfilter):
+@pytest.mark.parametrize(
+    "name, rfilter, names",
+    [
+        ("cube", "box", ("translation x", "scale", "texels normal")),
+        ("open sheet", "box", ("translation x", "along normals", "texels opacity")),
+        ("cut by the border", "gaussian", ("translation y", "camera position")),
+        ("hides itself", "gaussian", ("translation y", "one vertex", "light position")),
+    ],
+)
+def test_slice(name, rfilter, names):
     scene = scenes.scene(name)
-    _check(Plugin(scene, rfilter=rfilter), scene, ("translation x", "scale", "rotation", "texels normal"))
+    _check(Plugin(scene, rfilter=rfilter), scene, names)
 
 
 def test_layers():
     """What lies behind translucent faces, and how the camera moves over it."""
     scene = scenes.scene("hides itself")
-    names = ("translation x", "translation y", "texels opacity")
-    _check(Plugin(scene, headlight=False, layers=3), scene, names)
+    _check(Plugin(scene, headlight=False, layers=3), scene, ("translation y", "texels opacity"))
 
 
 def test_symmetry_plane_through_the_camera():
@@ -76,37 +82,35 @@ def test_every_pair(section, index):
     assert not [str(p) for p in case.measure() if not p.passes]
 
 
-_FORWARD = """
-from mi_simplify import runtime; runtime.ensure_variant()
-import numpy as np
-from gradients import scenes
-from gradients.finite_difference import along
-from gradients.plugin import Plugin
-scene = scenes.scene("two objects")
-renderer, adjoint = Plugin(scene), scenes.film_weights(scene, 1)
-gradient = renderer.gradient(adjoint, 4, 5)
-for parameter in scenes.parameters(scene, renderer.start):
-    image = renderer.derivative(parameter.direction, 4, 5).astype(np.float64)
-    forward, backward = np.sum(image * adjoint), along(gradient, parameter.direction)
-    assert abs(forward - backward) < 1e-4 * abs(backward), (parameter.name, forward, backward)
-"""
-
-
 def test_forward_mode_equals_backward_mode():
-    """
-    In a process of its own: after other renders Dr.Jit may refuse the forward pass ("outside of the current
-    dr.isolate_grad() scope") although the parameters' own edges are cleared; cause unknown.
-    """
-    tests = Path(__file__).resolve().parents[1]
-    done = subprocess.run([sys.executable, "-c", _FORWARD], cwd=tests, capture_output=True, text=True, timeout=280)
-    assert done.returncode == 0, done.stderr
+    scene = scenes.scene("two objects")
+    renderer, adjoint = Plugin(scene), film_weights(scene, 1)
+    gradient = renderer.gradient(adjoint, 4, 5)
+    gc.collect()  # scenes of other tests: forward mode wants none that carries gradients
+    for parameter in parameters(scene, renderer.start):
+        image = renderer.derivative(parameter.direction, 4, 5).astype(np.float64)
+        assert np.sum(image * adjoint) == pytest.approx(along(gradient, parameter.direction), rel=1e-4), parameter.name
+
+
+def test_forward_mode_and_other_scenes():
+    """One that carries gradients stands in the way as long as it lives; none must live for ever."""
+    other, renderer = (Plugin(scenes.scene("cube")) for _ in range(2))
+    other.gradient(film_weights(other.scene, 1), 1, 0)
+    other.attach(tuple(other.start))
+    direction = {"positions": np.ones_like(renderer.start["positions"])}
+    with pytest.raises(UserError, match="disable the gradients of other scenes"):
+        renderer.derivative(direction, 1, 0)
+    del other
+    gc.collect()
+    assert np.abs(renderer.derivative(direction, 1, 0)).max() > 0
 
 
 def test_both_renderers_show_the_same():
-    """Box filter, one layer, light off the camera: the colours of the two renderers agree but for noise."""
+    """Box filter, one layer, light off the camera: colour and coverage of the two renderers agree but for noise."""
     scene = scenes.scene("cube")  # hard edges: Mitsuba computes normals per split vertex, which shows along UV seams
     plain, batched = Plugin(scene, headlight=False), Batched(scene)
     for renderer in (plain, batched):
         renderer.start["normal"][:] = [0, 0, 1]  # Mitsuba's tangent is that of the face
-    here, there = (r.image(r.start, 64, 1)[0, ..., :3] for r in (plain, batched))
-    assert np.abs(here - there).mean() < 0.01 * there.mean()
+    here, there = (r.image(r.start, 64, 1)[0] for r in (plain, batched))
+    difference, level = (np.abs(x).mean((0, 1)) for x in (here - there, there))
+    assert (difference < 0.01 * level).all(), difference / level
