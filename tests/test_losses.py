@@ -174,3 +174,11 @@ def test_background_shows_a_wrong_coverage():
     assert value == pytest.approx(0.6) and grad[0, 3] == pytest.approx(-0.6)
     value, grad = frame_loss(image, reference, np.zeros((1, 3)), losses.l1, 0.5)
     assert value == pytest.approx(0.5) and grad[0, 3] == pytest.approx(-1)
+
+
+def test_pixels_without_a_reference_do_not_count():
+    image, reference = mi.Vector4f([0.2, 0.4], 0.5, 0.6, 1.0), mi.Vector4f([np.nan, 0.9], 0.1, 0.1, 1.0)
+    value, grad = losses.frame_loss(image, reference, mi.Color3f(0), losses.l1, 1.0)
+    assert value.numpy() == pytest.approx((0.5 + 0.4 + 0.5) / 3 / 2)
+    np.testing.assert_array_equal(grad.numpy()[:, 0], 0)
+    assert np.abs(grad.numpy()[:3, 1]).min() > 0.1

@@ -80,7 +80,9 @@ class Fit:
         held_out = config.evaluation
         resolution = min(held_out.resolution, max(config.optimizer.resolution))
         self.held_out = draw(min(held_out.views, 8), np.random.default_rng(config.seed + 1), resolution)
-        self._held_out_images = reference.render(self.held_out, seed=1)
+        images = reference.render(self.held_out, seed=1)
+        self._unknown = np.isnan(images).any(axis=3)[..., None]
+        self._held_out_images = np.where(self._unknown, 0, images)
 
     def step(self, index: int) -> mi.Float:
         """
@@ -156,7 +158,8 @@ class Fit:
             frame = self.renderer.render(surface, textures, self.held_out, spp=16, seed=seed)
         image = frame.image.numpy().T.reshape(self._held_out_images.shape)
         if self.pool.residual is not None:
-            image = image + self.pool.residual.render(self.held_out, 1)
+            image = image + np.nan_to_num(self.pool.residual.render(self.held_out, 1))
+        image = np.where(self._unknown, 0, image)
         pixels = [upload(mi.Vector4f, x.reshape(-1, 4)) for x in (image, self._held_out_images)]
         loss, _ = frame_loss(*pixels, self._background(dr.width(pixels[0]), seed), self.loss, self._coverage)
         a, b = (srgb(dr.clip(x.xyz, 0, 1)).numpy().T.reshape(len(image), -1) for x in pixels)

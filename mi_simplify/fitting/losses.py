@@ -90,7 +90,7 @@ def frame_loss(image: mi.Vector4f, reference: mi.Vector4f, background: mi.Color3
     Parameters
     ----------
     image, reference : mi.Vector4f, width N
-        Premultiplied linear radiance and coverage.
+        Premultiplied linear radiance and coverage. A pixel whose reference is NaN does not count.
     background : mi.Color3f, width N
         Linear radiance behind both.
     loss : callable
@@ -120,6 +120,7 @@ def frame_loss(image: mi.Vector4f, reference: mi.Vector4f, background: mi.Color3
         return mi.Float(0), mi.Vector4f(0)
 
     image, reference = mi.Vector4f(dr.detach(image)), mi.Vector4f(reference)
-    value, grad = dr.if_stmt((image, reference, background), dr.any(image != reference), differ, equal)
+    counts = dr.any(image != reference) & ~dr.any(dr.isnan(reference))
+    value, grad = dr.if_stmt((image, reference, background), counts, differ, equal)
     dr.eval(value, grad)
     return dr.sum(value) / n, grad

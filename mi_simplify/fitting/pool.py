@@ -4,6 +4,7 @@ Rendered reference views held ready, renewed while the fit runs, so that no step
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 
 import drjit as dr
@@ -13,6 +14,8 @@ import numpy as np
 from ..scenes.reference import Reference
 from ..scenes.views import Views
 from ..upload import upload
+
+log = logging.getLogger("mi_simplify")
 
 _HALF_MAX = float(np.finfo(np.float16).max)
 
@@ -43,7 +46,7 @@ class ViewPool:
         residual: Reference | None = None,
     ):
         self.reference, self.draw, self.capacity, self.rng, self.residual = reference, draw, capacity, rng, residual
-        self.n_rendered = 0
+        self.n_rendered, self._told = 0, False
         self._views: list[dict[str, np.ndarray]] = []
         self._images: list[np.ndarray] = []
         self.resolution = 0
@@ -66,6 +69,7 @@ class ViewPool:
         images = self.reference.render(views, seed)
         if self.residual is not None:
             images = np.concatenate([images, self.residual.render(views, seed)], axis=3)
+        images = self._without_nan(images)
         # A point light in a mirror is brighter than half precision goes, and infinity would spread to everything.
         images = np.clip(images, -_HALF_MAX, _HALF_MAX).astype(np.float16)
         planes = np.moveaxis(images, 3, 1).reshape(n, images.shape[3], -1)
@@ -79,6 +83,19 @@ class ViewPool:
                 self._views[self._next], self._images[self._next] = view, image
             self._next = (self._next + 1) % self.capacity
         self.n_rendered += n
+
+    def _without_nan(self, images: np.ndarray) -> np.ndarray:
+        """Pixels that a path tracer could not compute become NaN as a whole, which no loss counts."""
+        unknown = np.isnan(images).any(axis=3)
+        if not unknown.any():
+            return images
+        if not self._told:
+            share = 100 * unknown.mean()
+            log.warning("%.2g %% of the pixels of the reference are NaN and left out of the fit", share)
+            self._told = True
+        images = np.where(unknown[..., None], 0, images)
+        images[..., :4][unknown] = np.nan
+        return images
 
     def state(self) -> dict:
         """
