@@ -503,7 +503,7 @@ def parts_of(path: Path) -> dict[str, np.ndarray]:
 def test_what_is_not_fitted_stays_to_the_bit(arguments, fitted, start, toy, tmp_path):
     low, guess = start
     run = ["simplify", str(toy / "sphere.ply"), "--init", str(low), "--keep-uv", "--set", "optimizer.steps=8"]
-    run += ["--set", "initial.textures=constant"]
+    run += ["--set", "initial.textures=constant", "--set", "optimizer.batch=4", "--set", "optimizer.spp=4"]
     fast = [f"--set=optimizer.rates.{name}=0.05" for name in ("base_color", "specular", "normal")]
     assert cli.main([*run, *arguments, *fast, "--set=evaluation.every=8", "-o", str(tmp_path), "--quiet", *TOY]) == 0
     result = parts_of(tmp_path / "model.glb")
