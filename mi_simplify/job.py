@@ -23,7 +23,7 @@ from .output import RunFolder
 from .progress import Progress, ProgressCallback, silent
 from .record import Record
 from .report.evaluate import compare_assets, save_comparison
-from .report.html import write_report
+from .report.folder import report_folder
 from .report.self_check import LEAST_PSNR, self_check
 from .runtime import ensure_variant
 from .scenes.asset import Asset
@@ -97,6 +97,7 @@ def guess_for(asset: Asset, config: Config, frame: Frame) -> tuple[Model, list[s
         kind=initial.kind,
         init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh, purpose="low-poly mesh")),
         keep_uv=initial.keep_uv,
+        repair=initial.repair and "vertices" in config.latent.optimize,
         seed=config.seed,
         crease_angle=initial.crease_angle,
     )
@@ -208,13 +209,9 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             "self_check": {"file": written.name, "psnr": round(shown, 2)},
         }  # fmt: skip
         comparison = replace(comparison, figures={**comparison.figures, "run": run})
-        models = sorted(path for path in folder.path.iterdir() if path.name.startswith("model"))
         with folder.staged() as stage:
             save_comparison(comparison, stage)
-            write_report(
-                stage / "report.html", comparison, title=asset.name, model=model,
-                settings=config.model_dump(mode="json"), log=fitted.log, files=models, notes=notes,
-            )  # fmt: skip
+        report_folder(folder.path, {"reference": asset, "result": result})
         folder.finished()
     if shown < LEAST_PSNR:
         raise Defect(
@@ -276,16 +273,18 @@ def evaluate_job(
     Returns
     -------
     dict
-        The figures, written as ``metrics.json`` with pictures where ``out`` is given.
+        The figures, written as ``metrics.json`` with pictures and a report where ``out`` is given.
     """
     folder = None if out is None else RunFolder(out, overwrite=overwrite)
     ensure_variant(variant)
     progress(Progress("load"))
-    assets = {name: open_asset(name) for name in candidates}
-    comparison = compare_assets(open_asset(reference), assets, progress=progress, **settings)
+    target, assets = open_asset(reference), {name: open_asset(name) for name in candidates}
+    comparison = compare_assets(target, assets, progress=progress, **settings)
     if folder is not None:
-        with folder.opened(), folder.staged() as stage:
-            save_comparison(comparison, stage)
+        with folder.opened():
+            with folder.staged() as stage:
+                save_comparison(comparison, stage)
+            report_folder(folder.path, {"reference": target, **assets})
     return comparison.figures
 
 

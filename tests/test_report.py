@@ -1,19 +1,25 @@
 """Pictures, curves, the HTML report, and the project's own judge."""
 
+import base64
+import hashlib
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+import zlib
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from mi_simplify.errors import AssetError, OutputError
-from mi_simplify.latent.model import Model
+from mi_simplify.report import gallery
 from mi_simplify.report.chart import line_chart, log_ticks, ticks
-from mi_simplify.report.evaluate import Comparison, compare_assets, evaluate
+from mi_simplify.report.evaluate import Comparison, compare_assets, evaluate, load_comparison, save_comparison
+from mi_simplify.report.folder import report_folder
+from mi_simplify.report.gallery import pictures
 from mi_simplify.report.html import write_report
 from mi_simplify.report.metrics import compare
 from mi_simplify.report.pictures import (
@@ -24,6 +30,7 @@ from mi_simplify.report.pictures import (
     shown,
     signed_difference,
 )
+from mi_simplify.report.viewer import viewer_data
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 from mi_simplify.scenes.reference import make_reference
 from mi_simplify.scenes.views import held_out_views
@@ -124,7 +131,7 @@ def test_chart_leaves_out_what_cannot_be_drawn():
 class Page(HTMLParser):
     """Pictures, section ids and references of a page, and whether its elements close."""
 
-    VOID = {"meta", "img", "br"}
+    VOID = {"meta", "img", "br", "link", "input"}
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -150,10 +157,15 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_report_is_one_well_formed_file(comparison, tmp_path):
+def texture_set(**settings) -> Material:
+    """A material with noise in every texture."""
     rng = np.random.default_rng(0)
-    specular = np.concatenate([rng.random((9, 30, 1)), rng.random((9, 30, 2))], 2)
-    model = Model(None, rng.random((9, 30, 4)), specular, np.zeros((9, 30, 3)) + [0, 0, 1], alpha_mode="MASK")
+    normal = np.zeros((9, 30, 3)) + [0, 0, 1]
+    return Material("paint", *(rng.random((9, 30, n), np.float32) for n in (4, 3)), normal=normal, **settings)
+
+
+def test_report_is_one_well_formed_file(comparison, tmp_path):
+    part = replace(octahedron().parts[0], material=texture_set(alpha_mode="MASK"))
     log = [
         {"step": k, "loss": 1 / k, "seconds": 0.5 * k} | ({"psnr": 30.0 + k} if k % 5 == 0 else {})
         for k in range(1, 99)
@@ -163,8 +175,8 @@ def test_report_is_one_well_formed_file(comparison, tmp_path):
         comparison,
         title="</title><script>alert(1)</script>",
         summary="a & b",
-        model=model,
-        settings={"asset": "<spot>.obj", "reference": {"spp": 32}},
+        models={"reference": octahedron(), "</script>": Asset((part,), (Instance(0),))},
+        settings="asset: <spot>.obj",
         log=log,
         files=[tmp_path / "missing.glb", __file__],
         notes=["<img src=x onerror=alert(1)>"],
@@ -172,19 +184,141 @@ def test_report_is_one_well_formed_file(comparison, tmp_path):
     text = path.read_text(encoding="utf-8")
     page = Page(text)
     assert not page.open and not page.links
-    assert page.sections == ["summary", "views", "figures", "curves", "textures", "notes", "files", "settings"]
-    assert len(page.images) == 2 * 6 + 6, "views, and base colour, roughness, metal, normal, opacity, gamma"
-    assert all(image["src"].startswith("data:image/png;base64,") for image in page.images)
-    assert page.scripts == ["application/json"]
+    sections = ["summary", "side-by-side", "model", "views", "textures", "figures", "curves", "notes", "files"]
+    assert page.sections == [*sections, "settings"]
+    pictures = [image for image in page.images if image.get("src")]
+    assert len(pictures) == 2 * (3 + 2 * 3) + 6, "views, and base colour, opacity, gamma, roughness, metal, normal"
+    assert all(image["src"].startswith("data:image/webp;base64,") for image in pictures)
+    assert page.scripts == ["application/json"] * 2 + [None] * 2
     assert "<script>alert" not in text and "&lt;spot&gt;.obj" in text and "49 s" in text
     (data,) = re.findall(r'id="report-data">(.*?)</script>', text)
     assert json.loads(data) == comparison.figures
     assert text.count("<svg") == 2
 
 
+def test_a_page_runs_its_own_scripts_only(comparison, tmp_path):
+    text = write_report(tmp_path / "r.html", comparison, title="t", models={"a": octahedron()}).read_text("utf-8")
+    (policy,) = re.findall(r'Content-Security-Policy" content="(.*?)"', text)
+    scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    assert policy.startswith("default-src 'none'; img-src data:;")
+    assert policy.partition("script-src ")[2].split() == [f"'sha256-{h}'" for h in hashes] and len(hashes) == 2
+
+
 def test_report_needs_no_more_than_a_comparison(comparison, tmp_path):
     page = Page(write_report(tmp_path / "report.html", comparison, title="disc").read_text(encoding="utf-8"))
-    assert page.sections == ["summary", "views", "figures"]
+    assert page.sections == ["summary", "side-by-side", "views", "figures"]
+    assert page.scripts == ["application/json", None]
+
+
+def test_the_grid_shows_the_errors_of_the_last_candidate_first(comparison, tmp_path):
+    text = write_report(tmp_path / "report.html", comparison, title="disc").read_text(encoding="utf-8")
+    cell = r'<figure data-view="0" data-index="\d" data-column="(.*?)"(?: data-of="(.*?)")?( hidden)?>'
+    first, result, errors = "first guess", "result &lt;1&gt;", ("difference", "coverage errors", "FLIP")
+    expected = [(name, "", "") for name in ("reference", first, result)]
+    expected += [(e, first, " hidden") for e in errors] + [(e, result, "") for e in errors]
+    assert re.findall(cell, text) == expected
+
+
+def test_pictures_are_cut_to_what_is_seen_and_are_never_too_many(comparison, monkeypatch):
+    columns = pictures(comparison)
+    assert columns[0].images.shape == (2, 20, 20, 3), "a disc of radius 9 with a margin in 24 x 32"
+    np.testing.assert_array_equal(columns[1].images, shown(comparison.candidates["first guess"])[:, 2:22, 6:26])
+    monkeypatch.setattr(gallery, "MOST_PIXELS", 9 * 2 * 10 * 10)
+    assert {column.images.shape for column in pictures(comparison)} == {(2, 10, 10, 3)}
+    monkeypatch.setattr(gallery, "MOST_VIEWS", 1)
+    assert len(pictures(comparison)[0].images) == 1
+    assert gallery.left_out(comparison) == " The first 1 of 2 views are shown."
+
+
+def test_viewer_data_is_the_model(comparison):
+    part = replace(octahedron().parts[0], material=texture_set())
+    twice = Asset((part,), (Instance(0), Instance(0, np.diag([-1.0, 1, 1, 1]) + np.eye(4, k=3) * 5)))
+    data = viewer_data({"first": octahedron(), "twice": twice})
+    first, model = data["models"]
+    assert (first["triangles"], model["triangles"]) == (8, 16)
+    assert data["bounds"] == twice.bounds.tolist()
+    assert first["parts"][0]["textures"]["roughness"].startswith("data:image/webp")
+    (joined,) = model["parts"]  # one material, one draw call
+    assert joined["textures"]["normal"] == "#texture-0-normal" and "opacity" not in joined["textures"]
+
+    def unpacked(name, dtype, width):
+        return np.frombuffer(zlib.decompress(base64.b64decode(joined[name])), dtype).reshape(-1, width)
+
+    positions, faces = unpacked("positions", "<f4", 3), unpacked("indices", "<u2", 3)
+    expected = np.concatenate([p.vertices[p.faces] for p in twice.placed()])
+    np.testing.assert_allclose(positions[faces], expected, atol=1e-6)
+    normals, tangents = (unpacked(name, "<i2", 4)[:, :3] / 32767 for name in ("normals", "tangents"))
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-3)
+    assert np.abs((normals * tangents).sum(1)).max() < 1e-3
+    outward = np.cross(*(positions[faces][:, k] - positions[faces][:, 0] for k in (1, 2)))
+    assert ((outward * normals[faces[:, 0]]).sum(1) > 0).all(), "the mirrored one is wound as its normals say"
+
+
+# --- folders ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def judged(comparison, tmp_path) -> Path:
+    """A folder as a comparison leaves it."""
+    save_comparison(comparison, tmp_path / "out")
+    return tmp_path / "out"
+
+
+def test_what_is_saved_comes_back_as_a_screen_shows_it(comparison, judged):
+    loaded = load_comparison(judged)
+    assert loaded.figures == comparison.figures and list(loaded.candidates) == list(comparison.candidates)
+    np.testing.assert_array_equal(shown(loaded.reference), shown(comparison.reference))
+    half = np.full((1, 2, 2, 4), 0.5, np.float32)
+    figures = {**comparison.figures, "candidates": {"a": {"triangles": 1, **compare(half, half)}}}
+    save_comparison(Comparison(half, {"a": half}, figures), judged)
+    assert not (load_comparison(judged).reference[..., 3] > 0.5).any(), "half covered is not covered"
+
+
+def test_a_report_is_built_from_a_folder_alone(judged):
+    (judged / "config.yaml").write_text("asset: my.obj\n")
+    (judged / "log.jsonl").write_text("".join(f'{{"step": {k}, "loss": {1 / k}, "psnr": null}}\n' for k in (1, 11, 21)))
+    text = report_folder(judged).read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.sections == ["summary", "side-by-side", "views", "figures", "curves", "settings"]
+    assert "asset: my.obj" in text and "<h1>disc</h1>" in text
+    assert report_folder(judged).read_text(encoding="utf-8") == text
+
+
+def test_a_line_that_was_cut_off_is_left_out_of_the_curves(judged, caplog):
+    (judged / "log.jsonl").write_text('{"step": 1, "loss": 1.0}\n{"step": 11, "loss": 0.5}\n{"step": 2')
+    assert "curves" in Page(report_folder(judged).read_text(encoding="utf-8")).sections
+    assert "log.jsonl, line 3 is damaged" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("metrics.json", None, "holds no finished run; name a folder"),
+        ("metrics.json", b"{", "metrics.json is damaged"),
+        ("metrics.json", b'{"candidates": {"a": 3}, "reference": {}}', "metrics.json is damaged"),
+        ("views.npz", None, "has no views.npz"),
+        ("views.npz", b"PK\x03\x04nothing", "views.npz is damaged"),
+        ("views.npz", b"", "views.npz is damaged"),
+        ("config.yaml", b"\xff\xfe", "config.yaml is damaged"),
+    ],
+)
+def test_a_damaged_folder_is_one_line(judged, name, content, message):
+    (judged / name).unlink(missing_ok=True)
+    if content is not None:
+        (judged / name).write_bytes(content)
+    with pytest.raises(OutputError, match=message) as error:
+        report_folder(judged)
+    assert "\n" not in str(error.value)
+
+
+def test_pictures_of_other_figures_are_refused(judged):
+    with np.load(judged / "views.npz") as archive:
+        arrays = dict(archive)
+    for wrong in (arrays["reference"][:1], arrays["reference"][:, :5], arrays["reference"].astype(np.float32)):
+        np.savez(judged / "views.npz", **(arrays | {"candidate_0": wrong}))
+        with pytest.raises(OutputError, match=r"damaged|does not belong"):
+            report_folder(judged)
 
 
 # --- evaluate -----------------------------------------------------------------------------------------------------

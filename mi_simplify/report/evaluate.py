@@ -4,8 +4,11 @@ The project's own judge: path traces reference and candidates from views that no
 
 from __future__ import annotations
 
+import io
 import json
 import logging
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import __version__
-from ..errors import AssetError
+from ..errors import AssetError, OutputError
 from ..export.files import make_folder, write_atomic
-from ..export.textures import png
+from ..export.textures import png, srgb_to_linear
 from ..progress import Progress, ProgressCallback, silent
 from ..scenes.asset import Asset
 from .metrics import COVERED, compare
-from .pictures import contact_sheet
+from .pictures import contact_sheet, shown
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
     from ..scenes.views import Views
@@ -32,6 +35,9 @@ SKY = 0.1
 
 MAX_DEPTH = 6
 """Longest light path [edges]."""
+
+VIEWS = "views.npz"
+"""The images of a comparison as a screen shows them, with coverage: what its report is built from."""
 
 
 @dataclass(frozen=True)
@@ -118,13 +124,27 @@ def compare_assets(
             "max_depth": MAX_DEPTH,
             "sky": SKY,
         },
-        "reference": {"name": reference.name, "triangles": reference.n_triangles},
-        "candidates": {
-            name: {"triangles": asset.n_triangles, **compare(target, images[name])}
-            for name, asset in candidates.items()
-        },
+        "reference": {"name": reference.name, **_costs(reference)},
+        "candidates": {name: {**_costs(asset), **compare(target, images[name])} for name, asset in candidates.items()},
     }
     return Comparison(target, images, figures)
+
+
+def _costs(asset: Asset) -> dict:
+    """What a model is made of; of its file, where there is one, the size without those that it names."""
+    used = {instance.part: asset.parts[instance.part] for instance in asset.instances}.values()
+    materials = list({id(part.material): part.material for part in used}.values())
+    textures = [[x for x in (m.base_color, m.specular, m.normal) if x is not None] for m in materials]
+    file = Path(asset.source).absolute()
+    is_file = bool(asset.source) and file.is_file()
+    return {
+        "triangles": asset.n_triangles,
+        "vertices": sum(len(part.vertices) for part in used),
+        "materials": len(materials),
+        "texels": sum(max(x.shape[0] * x.shape[1] for x in images) for images in textures),
+        "file": str(file) if is_file else asset.source or None,
+        "bytes": file.stat().st_size if is_file else None,
+    }
 
 
 def _path_traced(asset: Asset, views: Views, spp: int, seed: int, told: Callable[[int], None]) -> np.ndarray:
@@ -160,12 +180,12 @@ def _path_traced(asset: Asset, views: Views, spp: int, seed: int, told: Callable
 
 def save_comparison(comparison: Comparison, out: str | Path) -> dict[str, Path]:
     """
-    Write ``metrics.json`` and ``contact_sheet.png`` into a folder, which is made where it is missing.
+    Write ``metrics.json``, ``contact_sheet.png`` and ``views.npz`` into a folder, which is made where it is missing.
 
     Returns
     -------
     dict
-        ``metrics`` and ``contact_sheet``: the paths.
+        ``metrics``, ``contact_sheet`` and ``views``: the paths.
 
     Raises
     ------
@@ -175,10 +195,63 @@ def save_comparison(comparison: Comparison, out: str | Path) -> dict[str, Path]:
     out = make_folder(out)
     sheet = contact_sheet(comparison.reference, comparison.candidates)
     text = json.dumps(comparison.figures, indent=2, allow_nan=False) + "\n"
+    images = {"reference": comparison.reference}
+    images |= {f"candidate_{k}": x for k, x in enumerate(comparison.candidates.values())}
+    packed = {name: np.concatenate([shown(x), _levels(x[..., 3:])], axis=3) for name, x in images.items()}
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **packed)
     return {
         "contact_sheet": write_atomic(out / "contact_sheet.png", png(np.asarray(sheet))),
+        "views": write_atomic(out / VIEWS, stream.getvalue()),
         "metrics": write_atomic(out / "metrics.json", text),
     }
+
+
+def _levels(coverage: np.ndarray) -> np.ndarray:
+    """Coverage in 254 steps, so that one half is a level of its own."""
+    return np.rint(np.clip(coverage, 0, 1) * 254).astype(np.uint8)
+
+
+def load_comparison(folder: str | Path) -> Comparison:
+    """
+    What :func:`save_comparison` wrote, with images as precise as a screen shows them.
+
+    Raises
+    ------
+    OutputError
+        The folder holds no comparison, or a damaged one.
+    """
+    folder = Path(folder)
+    metrics, views = folder / "metrics.json", folder / VIEWS
+    if not metrics.is_file():
+        raise OutputError(f"{folder} holds no finished run; name a folder that simplify, run or compare has written")
+    if not views.is_file():
+        raise OutputError(f"{folder} has no {VIEWS}, the pictures of its held-out views; run or compare again")
+    try:
+        figures = json.loads(metrics.read_text(encoding="utf-8"))
+        reference, candidates = figures["reference"], figures["candidates"]
+        _ = reference["name"] + "", reference["triangles"] + 0, figures["settings"]["spp"]
+        lengths = [len(c["per_view"][key]) for c in candidates.values() for key in ("psnr", "flip", "silhouette_error")]
+        _ = [c[key] + 0.0 for c in candidates.values() for key in ("triangles", "psnr", "flip", "silhouette_error")]
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        raise OutputError(f"{metrics} is damaged; run or compare again") from None
+    names = ["reference", *(f"candidate_{k}" for k in range(len(candidates)))]
+    try:
+        with np.load(io.BytesIO(views.read_bytes()), allow_pickle=False) as archive:
+            images = [_linear(archive[name]) for name in names]
+    except (OSError, EOFError, ValueError, LookupError, MemoryError, zipfile.BadZipFile, zlib.error):
+        raise OutputError(f"{views} is damaged; run or compare again") from None
+    if not candidates or {x.shape for x in images} != {images[0].shape} or {len(images[0])} != set(lengths):
+        raise OutputError(f"{views} does not belong to {metrics}; run or compare again")
+    return Comparison(images[0], dict(zip(candidates, images[1:], strict=True)), figures)
+
+
+def _linear(packed: np.ndarray) -> np.ndarray:
+    """Inverse of what :func:`save_comparison` does to images."""
+    if packed.dtype != np.uint8 or packed.ndim != 4 or packed.shape[3] != 4 or not packed.size:
+        raise ValueError("not a set of views")
+    color, coverage = srgb_to_linear(packed[..., :3] / 255.0), packed[..., 3:] / 254.0
+    return np.concatenate([color, coverage], axis=3).astype(np.float32)
 
 
 def evaluate(
@@ -198,7 +271,7 @@ def evaluate(
     Parameters
     ----------
     out : str or Path, optional
-        Folder for ``metrics.json`` and ``contact_sheet.png``; nothing is written without it.
+        Folder for the files of :func:`save_comparison`; nothing is written without it.
 
     Returns
     -------

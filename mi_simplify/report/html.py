@@ -1,39 +1,41 @@
 """
-The report of a run: one HTML file that opens anywhere, without a network and without scripts.
+The report of a run: one HTML file that opens anywhere, without a network.
 
-Every part is a ``<section>`` with an id, every picture a ``<figure>`` that says which view and column
-it shows, and the figures stand once more as JSON in ``#report-data``: what a script would want to
-build on later.
+Every part is a ``<section>`` with an id, every picture a ``<figure>`` that says what it shows, and the figures stand
+once more as JSON in ``#report-data``. The two scripts, ``web/page.js`` and ``web/viewer.js``, are in the page, which
+permits no others and no connection; without them everything but divider and 3D view is still there.
 """
 
 from __future__ import annotations
 
-import base64
 import html
-import io
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-import yaml
-from PIL import Image
-
 from .. import __version__
 from ..export.files import write_atomic
-from ..export.textures import VISIBLE_GAMMA, encode_textures, png, to_8bit
-from ..latent.model import Model
+from ..export.textures import to_8bit
+from ..scenes.asset import Asset
 from .chart import line_chart
+from .embed import json_block, script_hash, web_file
 from .evaluate import Comparison
-from .pictures import BLUE, DIFFERENCE_GAIN, RED, comparison_columns
-from .style import CSS
-
-TEXTURE_SIZE = 512
-"""Texture sheets are embedded at most this large [pixels]; the files beside the report have all texels."""
+from .gallery import divider, grid, left_out, pictures
+from .pictures import BLUE, DIFFERENCE_GAIN, RED
+from .viewer import texture_sheets, viewer_data
 
 FIGURES = {"psnr": ("PSNR", "{:.2f}", "dB", +1), "flip": ("FLIP", "{:.4f}", "", -1)}
 FIGURES |= {"silhouette_error": ("silhouette error", "{:.4f}", "", -1)}
 """Name, format, unit, and the sign of better."""
+
+
+def _size(n_bytes: float) -> str:
+    """Bytes in words: 3.4 MB."""
+    return f"{n_bytes / 1e6:,.1f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:,.1f} kB"
+
+
+COSTS = {"triangles": ("triangles", "{:,}".format), "vertices": ("vertices", "{:,}".format)}
+COSTS |= {"texels": ("texels", "{:,}".format), "bytes": ("file", _size)}
+"""Heading and format of what a model costs."""
 
 
 def write_report(
@@ -42,8 +44,8 @@ def write_report(
     *,
     title: str,
     summary: str = "",
-    model: Model | None = None,
-    settings: Mapping | None = None,
+    models: Mapping[str, Asset] | None = None,
+    settings: str = "",
     log: Sequence[Mapping] = (),
     files: Iterable[str | Path] = (),
     notes: Iterable[str] = (),
@@ -58,10 +60,10 @@ def write_report(
         Of :func:`.evaluate.compare_assets`; the last candidate is the result, the first one what it is set against.
     title, summary : str
         Heading, and a sentence below it.
-    model : Model, optional
-        Its textures are shown.
-    settings : mapping, optional
-        Resolved settings, shown as YAML; plain Python values.
+    models : mapping of str to Asset, optional
+        What turns in 3D, all in one frame; the last one is looked at first, and its textures are shown.
+    settings : str
+        As they stand in ``config.yaml``.
     log : sequence of mapping
         Records with ``step`` and ``loss``, some with ``psnr`` [dB] and ``seconds``; the curves.
     files : iterable of path
@@ -78,25 +80,36 @@ def write_report(
     OutputError
         The file cannot be written.
     """
+    models, figures, columns = models or {}, comparison.figures, pictures(comparison)
+    names = list(comparison.candidates)
+    beside = _section("side-by-side", "Side by side", divider(columns, len(names)), _DIVIDER_HINT)
+    turning = _section("model", "In 3D", _viewer(models), _VIEWER_HINT)
     sections = [
-        _cards(comparison.figures, log),
-        _section("views", "Held-out views", _views(comparison), _views_hint(comparison.figures)),
-        _section("figures", "Figures", _table(comparison.figures)),
+        _cards(figures, log),
+        f'<div class="pair">{beside}{turning}</div>',
+        _section("views", "Held-out views", grid(columns, names), _views_hint(figures) + left_out(comparison)),
+        _section("textures", "Textures", texture_sheets(list(models.values())[-1]) if models else ""),
+        _section("figures", "Figures", _table(figures)),
         _section("curves", "Course of the fit", _curves(log)),
-        _section("textures", "Textures", "" if model is None else _textures(model)),
         _section("notes", "Notes", _notes(notes)),
         _section("files", "Files", _files(files)),
-        _section("settings", "Settings", _settings(settings)),
+        _section("settings", "Settings", f"<pre>{html.escape(settings)}</pre>" if settings else ""),
     ]
+    scripts = [web_file("page.js"), *([web_file("viewer.js")] if models else [])]
+    permitted = " ".join(map(script_hash, scripts))
+    policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {permitted}"
     lead = f'<p class="lead">{html.escape(summary)}</p>' if summary else ""
     page = f"""<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
+<meta name="color-scheme" content="light dark">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<link rel="icon" href="data:,">
 <title>{html.escape(title)}</title>
-<style>{CSS}</style>
+<style>
+{web_file("style.css")}</style>
 </head>
 <body>
 <main>
@@ -104,21 +117,37 @@ def write_report(
 {"".join(sections)}
 <footer>Made by mi_simplify {html.escape(__version__)}. Everything is in this file, nothing is loaded.</footer>
 </main>
-<script type="application/json" id="report-data">{_json(comparison.figures)}</script>
-</body>
+<dialog id="enlarged" aria-label="enlarged picture"><img alt=""><p></p></dialog>
+{json_block("report-data", figures)}{json_block("viewer-data", viewer_data(models)) if models else ""}\
+{"".join(f"<script>{text}</script>{chr(10)}" for text in scripts)}</body>
 </html>
 """
     return write_atomic(path, page)
 
 
-def data_uri(image: np.ndarray) -> str:
-    """An 8-bit image as a PNG data URI."""
-    return "data:image/png;base64," + base64.b64encode(png(image)).decode()
+_DIVIDER_HINT = "Drag the divider, or use the arrow keys: left and right move it, up and down change the view."
+_VIEWER_HINT = "Drag to turn, wheel or pinch to come closer; Shift or the right button moves the light."
 
 
-def _json(value: object) -> str:
-    """JSON that cannot end the script element that it stands in."""
-    return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
+#: What the 3D view shows, as ``web/viewer.js`` numbers it.
+_MODES = {"shaded": 0, "shape alone": 5, "base colour": 1, "roughness": 2, "metallic": 3, "normals": 4}
+
+
+def _viewer(models: Mapping[str, Asset]) -> str:
+    """The canvas and what is chosen above it."""
+    if not models:
+        return ""
+    labels = [f"{html.escape(name)}, {asset.n_triangles:,} triangles" for name, asset in models.items()]
+    chosen = ["" for _ in labels[1:]] + [" selected"]
+    names = "".join(f'<option value="{k}"{chosen[k]}>{label}</option>' for k, label in enumerate(labels))
+    modes = "".join(f'<option value="{k}">{name}</option>' for name, k in _MODES.items())
+    return (
+        f'<div id="viewer"><div class="bar"><label>model <select name="model">{names}</select></label>'
+        f'<label>show <select name="mode">{modes}</select></label>'
+        '<label><input type="checkbox" name="wires"> triangles</label></div>'
+        '<canvas tabindex="0" aria-label="the model in 3D"></canvas>'
+        '<p class="none">This browser has no WebGL 2, which the 3D view needs.</p></div>'
+    )
 
 
 def _section(name: str, heading: str, body: str, hint: str = "") -> str:
@@ -177,34 +206,18 @@ def _views_hint(figures: Mapping) -> str:
     return (
         f"Path traced at {s['spp']} samples per pixel under a point light and a dim sky that the fit has not seen. "
         f"Difference × {DIFFERENCE_GAIN:g}:{red} too bright,{blue} too dim. "
-        f"Coverage:{red} covered only by the candidate,{blue} only by the reference. "
-        f"The last three columns are those of “{html.escape(list(figures['candidates'])[-1])}”."
+        f"Coverage:{red} covered only by the candidate,{blue} only by the reference."
     )
 
 
-def _views(comparison: Comparison) -> str:
-    """A grid of pictures: one row per view."""
-    columns = comparison_columns(comparison.reference, comparison.candidates)
-    small = ' style="image-rendering: pixelated"' if comparison.reference.shape[2] < 160 else ""
-    cells = ['<div class="head"></div>', *(f'<div class="head">{html.escape(c.name)}</div>' for c in columns)]
-    for view in range(len(comparison.reference)):
-        cells.append(f'<div class="row">{view + 1}</div>')
-        for column in columns:
-            name = html.escape(column.name)
-            caption = html.escape(column.captions[view]) if column.captions else ""
-            cells.append(
-                f'<figure data-view="{view}" data-column="{name}"><img alt="{name}, view {view + 1}"{small} '
-                f'src="{data_uri(column.images[view])}"><figcaption>{caption}</figcaption></figure>'
-            )
-    return f'<div class="scroll"><div class="views" style="--columns:{len(columns)}">{"".join(cells)}</div></div>'
-
-
 def _table(figures: Mapping) -> str:
-    """All candidates, one row each."""
-    heads = ["", "triangles", *(f"{name} [{unit}]" if unit else name for name, _, unit, _ in FIGURES.values())]
+    """The reference and all candidates, one row each: what they cost, and how alike they are."""
+    heads = ["", *(head for head, _ in COSTS.values())]
+    heads += [f"{name} [{unit}]" if unit else name for name, _, unit, _ in FIGURES.values()]
     rows = []
-    for name, values in figures["candidates"].items():
-        cells = [f"{values['triangles']:,}", *(p.format(values[k]) for k, (_, p, _, _) in FIGURES.items())]
+    for name, values in {"reference": figures["reference"], **figures["candidates"]}.items():
+        cells = [form(values[key]) if values.get(key) is not None else "" for key, (_, form) in COSTS.items()]
+        cells += [p.format(values[k]) if k in values else "" for k, (_, p, _, _) in FIGURES.items()]
         rows.append(f'<tr><th scope="row">{html.escape(name)}</th>{"".join(f"<td>{c}</td>" for c in cells)}</tr>')
     head = "".join(f'<th scope="col">{html.escape(h)}</th>' for h in heads)
     return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
@@ -226,27 +239,6 @@ def _curves(log: Sequence[Mapping]) -> str:
     return f'<div class="charts">{"".join(charts)}</div>' if charts else ""
 
 
-def _textures(model: Model) -> str:
-    """Sheets of what the files hold."""
-    encoded = encode_textures(model)
-    sheets = {"base colour": encoded.base_color[..., :3], "roughness": encoded.orm[..., 1]}
-    sheets |= {"metallic": encoded.orm[..., 2], "normal": encoded.normal}
-    if model.alpha_mode != "OPAQUE":
-        sheets["opacity"] = encoded.base_color[..., 3]
-    if np.max(model.specular[..., 0]) > VISIBLE_GAMMA:
-        sheets["gamma"] = to_8bit(model.specular[..., 0])
-    figures = []
-    for name, sheet in sheets.items():
-        height, width = sheet.shape[:2]
-        picture = Image.fromarray(np.ascontiguousarray(sheet))
-        picture.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
-        figures.append(
-            f'<figure data-texture="{name}"><img alt="{name}" src="{data_uri(np.asarray(picture))}">'
-            f"<figcaption>{name}, {width} × {height}</figcaption></figure>"
-        )
-    return f'<div class="textures">{"".join(figures)}</div>'
-
-
 def _notes(notes: Iterable[str]) -> str:
     """A list of lines."""
     items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
@@ -256,18 +248,9 @@ def _notes(notes: Iterable[str]) -> str:
 def _files(files: Iterable[str | Path]) -> str:
     """Names and sizes of the files that are there."""
     rows = "".join(
-        f"<tr><td>{html.escape(path.name)}</td><td>{path.stat().st_size / 1000:,.1f}</td></tr>"
+        f"<tr><td>{html.escape(path.name)}</td><td>{_size(path.stat().st_size)}</td></tr>"
         for path in map(Path, files)
         if path.is_file()
     )
-    head = '<tr><th scope="col">file</th><th scope="col">kB</th></tr>'
+    head = '<tr><th scope="col">file</th><th scope="col">size</th></tr>'
     return f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>" if rows else ""
-
-
-def _settings(settings: Mapping | None) -> str:
-    """Settings as YAML."""
-    if not settings:
-        return ""
-    stream = io.StringIO()
-    yaml.safe_dump(dict(settings), stream, sort_keys=False, allow_unicode=True)
-    return f"<pre>{html.escape(stream.getvalue())}</pre>"

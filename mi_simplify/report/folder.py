@@ -1,0 +1,111 @@
+"""
+The report of a folder that a run or a comparison has written, from nothing but what lies in it.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..config import SAMPLE_PREFIX
+from ..errors import OutputError
+from ..scenes.asset import Asset
+from ..scenes.load import load_asset
+from ..scenes.read_mitsuba import SceneAsset
+from ..scenes.samples import sample_asset
+from .evaluate import load_comparison
+from .html import write_report
+from .viewer import MOST_TRIANGLES
+
+log = logging.getLogger("mi_simplify")
+
+MOST_MODELS = 6
+"""So many models are put into the page, which carries their textures."""
+
+
+def report_folder(folder: str | Path, assets: Mapping[str, Asset] | None = None) -> Path:
+    """
+    Write ``report.html`` into a folder that holds ``metrics.json`` and ``views.npz``.
+
+    ``config.yaml``, ``log.jsonl`` and the models are shown where they are there. Reference and candidates are read from
+    the files that ``metrics.json`` names, or files of the same name in the folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+    assets : mapping of str to Asset, optional
+        Models by their name in ``metrics.json``, "reference" included, which then are not read again.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    OutputError
+        The folder holds no finished run, a file in it is damaged, or it cannot be written.
+    AssetError, MeshError
+        A model cannot be read.
+    """
+    folder = Path(folder)
+    comparison = load_comparison(folder)
+    figures = comparison.figures
+    models = _models(figures, folder, assets or {})
+    missing = [name for name in figures["candidates"] if name not in models and figures["candidates"][name].get("file")]
+    if missing:
+        log.warning("not shown in 3D, as too large or too many, or because the file is gone: %s", ", ".join(missing))
+    return write_report(
+        folder / "report.html",
+        comparison,
+        title=figures["reference"]["name"],
+        models=models,
+        settings=_text(folder / "config.yaml"),
+        log=_log(folder / "log.jsonl"),
+        files=sorted(path for path in folder.iterdir() if path.name.startswith("model")),
+        notes=figures.get("run", {}).get("notes", ()),
+    )
+
+
+def _models(figures: dict, folder: Path, assets: Mapping[str, Asset]) -> dict[str, Asset]:
+    """Reference and candidates that can be shown, in this order; the last candidate comes first where it is tight."""
+    rows = {"reference": figures["reference"], **figures["candidates"]}
+    shown: dict[str, Asset] = {}
+    left = MOST_TRIANGLES
+    for name in sorted(rows, key=lambda name: name != list(rows)[-1]):
+        if rows[name]["triangles"] > left or len(shown) == MOST_MODELS:
+            continue
+        asset = assets[name] if name in assets else _load(rows[name].get("file"), folder)
+        if asset is not None and not isinstance(asset, SceneAsset):  # whose shapes need not be triangles
+            shown[name] = asset
+            left -= asset.n_triangles
+    return {name: shown[name] for name in rows if name in shown}
+
+
+def _load(source: str | None, folder: Path) -> Asset | None:
+    """The model of a file, beside the report or where it was; None where there is none."""
+    if source and source.startswith(SAMPLE_PREFIX):
+        return sample_asset(source.removeprefix(SAMPLE_PREFIX))
+    places = [folder / Path(source).name, Path(source)] if source else []
+    return next((load_asset(path) for path in places if path.is_file()), None)
+
+
+def _text(path: Path) -> str:
+    """What a file says, nothing where there is none."""
+    try:
+        return path.read_text(encoding="utf-8") if path.is_file() else ""
+    except (OSError, UnicodeDecodeError):
+        raise OutputError(f"{path} is damaged; remove it to have a report without it") from None
+
+
+def _log(path: Path) -> list[dict]:
+    """The records of a fit; a line that a full disk has cut off is left out, and that is said."""
+    records = []
+    for number, line in enumerate(_text(path).splitlines(), 1):
+        try:
+            record = json.loads(line)
+            records.append({"step": record["step"] + 0, "loss": record["loss"]} | record)
+        except (ValueError, LookupError, TypeError):
+            log.warning("%s, line %d is damaged and left out", path, number)
+    return records

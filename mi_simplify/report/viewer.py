@@ -1,0 +1,187 @@
+"""
+Models in a report: what turns in 3D, and the sheets of its textures.
+
+``web/viewer.js`` draws what :func:`viewer_data` gives it with WebGL 2. The textures of the last model are pictures of
+the page, so they are embedded once and serve both.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from ..export.textures import VISIBLE_GAMMA, encode_normal, linear_to_srgb, to_8bit
+from ..latent.model import Mesh
+from ..latent.tangents import split_mirrored, vertex_tangents
+from ..scenes.asset import Asset, Material, Part
+from ..scenes.shapes import part_normals
+from .embed import data_uri, packed_array
+
+MOST_TRIANGLES = 250_000
+"""Models with more are not put into the page; at 36 bytes a vertex they would make it tens of megabytes."""
+
+TEXTURE_SIZE = 1024
+"""Textures are embedded at most this large [pixels]; several of one model share as many texels as four of these."""
+
+CHANNELS = {
+    "base_color": "base colour", "opacity": "opacity", "gamma": "gamma", "roughness": "roughness",
+    "metallic": "metallic", "normal": "normal",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """
+    One texture as it is embedded.
+
+    Parameters
+    ----------
+    image : ndarray, shape (h, w) or (h, w, 3), uint8
+        Base colour sRGB, everything else linear.
+    size : tuple of int
+        Width and height of the texture itself.
+    """
+
+    image: np.ndarray
+    size: tuple[int, int]
+
+
+def sheets(material: Material, size: int = TEXTURE_SIZE) -> dict[str, Sheet]:
+    """
+    The textures of a material by the names of :data:`CHANNELS`; without opacity, gamma and normals that do nothing.
+    """
+    gamma, roughness, metallic = np.moveaxis(material.specular, 2, 0)
+    images = {"base_color": to_8bit(linear_to_srgb(material.base_color[..., :3]))}
+    if material.alpha_mode != "OPAQUE":
+        images["opacity"] = to_8bit(material.base_color[..., 3])
+    if gamma.max() > VISIBLE_GAMMA:
+        images["gamma"] = to_8bit(gamma)
+    images |= {"roughness": to_8bit(roughness), "metallic": to_8bit(metallic)}
+    if material.normal is not None:
+        images["normal"] = encode_normal(material.normal)
+    out = {}
+    for name, image in images.items():
+        height, width = image.shape[:2]
+        picture = Image.fromarray(np.ascontiguousarray(image))
+        picture.thumbnail((size, size), Image.Resampling.BOX)
+        out[name] = Sheet(np.asarray(picture), (width, height))
+    return out
+
+
+def texture_sheets(asset: Asset) -> str:
+    """
+    Markup of the textures of a model's materials, each channel a figure.
+    """
+    materials = _materials(asset)
+    figures = []
+    for k, material in enumerate(materials):
+        for name, sheet in sheets(material, _texture_size(materials)).items():
+            width, height = sheet.size
+            label = CHANNELS[name] if len(materials) == 1 else f"{material.name}: {CHANNELS[name]}"
+            figures.append(
+                f'<figure data-texture="{CHANNELS[name]}"><img class="zoom" id="{_id(k, name)}" '
+                f'alt="{html.escape(label)}" src="{data_uri(sheet.image)}">'
+                f"<figcaption>{html.escape(label)}, {width} × {height}</figcaption></figure>"
+            )
+    return f'<div class="textures">{"".join(figures)}</div>'
+
+
+def viewer_data(models: Mapping[str, Asset]) -> dict:
+    """
+    Everything that is drawn in 3D, as JSON values.
+
+    Parameters
+    ----------
+    models : mapping of str to Asset
+        All in one place and frame; the textures of the last are those of :func:`texture_sheets`.
+
+    Returns
+    -------
+    dict
+        ``models``, each with ``name``, ``triangles`` and ``parts``; ``bounds`` of the last one.
+    """
+    last = list(models)[-1]
+    return {
+        "bounds": models[last].bounds.tolist(),
+        "models": [
+            {"name": name, "triangles": asset.n_triangles, "parts": _parts(asset, embedded=name != last)}
+            for name, asset in models.items()
+        ],
+    }
+
+
+def _parts(asset: Asset, embedded: bool) -> list[dict]:
+    """One entry a material: geometry, and textures as data URIs or as ids of pictures of the page."""
+    materials, placed = _materials(asset), asset.placed()
+    out = []
+    for k, material in enumerate(materials):
+        if embedded:
+            small = sheets(material, _texture_size(materials))
+            textures = {name: data_uri(sheet.image, lossless=False) for name, sheet in small.items()}
+        else:
+            textures = {name: f"#{_id(k, name)}" for name in sheets(material, 1)}
+        cutoff = material.alpha_cutoff if material.alpha_mode == "MASK" else 0.0
+        geometry = [_geometry(part) for part in placed if part.material is material]
+        start = np.cumsum([0, *(len(g["positions"]) for g in geometry)])
+        joined = {name: np.concatenate([g[name] for g in geometry]) for name in geometry[0] if name != "indices"}
+        indices = np.concatenate([g["indices"] + n for g, n in zip(geometry, start, strict=False)])
+        joined["indices"] = indices.astype(np.uint16 if start[-1] <= 65535 else np.uint32)
+        if (joined["colors"] == 255).all():
+            del joined["colors"]
+        arrays = {name: packed_array(array) for name, array in joined.items()}
+        out.append(
+            {
+                "vertices": int(start[-1]), "textures": textures, "cutoff": float(cutoff),
+                "blend": material.alpha_mode == "BLEND", **arrays,
+            }
+        )  # fmt: skip
+    return out
+
+
+def _geometry(part: Part) -> dict[str, np.ndarray]:
+    """
+    Vertices as the device takes them: float32 positions and UVs, normals and tangents (w: handedness) as 16-bit
+    fractions, sRGB colours as bytes.
+    """
+    n = len(part.vertices)
+    uvs = np.zeros((n, 2), np.float32) if part.uvs is None else part.uvs
+    mesh = split_mirrored(Mesh(part.vertices, np.arange(n), uvs, part.faces))
+    normals = part_normals(part)
+    tangents, w = vertex_tangents(mesh, normals)
+    index = mesh.position_index
+    colors = np.full((n, 4), 255, np.uint8)
+    if part.colors is not None:
+        colors[:, :3] = to_8bit(linear_to_srgb(part.colors[:, :3]))
+    return {
+        "positions": mesh.vertices.astype(np.float32),
+        "normals": _fractions(np.concatenate([normals[index], np.zeros((len(index), 1))], axis=1)),
+        "tangents": _fractions(np.concatenate([tangents, w[:, None]], axis=1)),
+        "uvs": mesh.uvs.astype(np.float32),
+        "colors": colors[index],
+        "indices": mesh.faces.ravel(),
+    }
+
+
+def _fractions(x: np.ndarray) -> np.ndarray:
+    """Values in [-1, 1] as signed 16-bit fractions."""
+    return np.rint(np.clip(x, -1, 1) * 32767).astype(np.int16)
+
+
+def _materials(asset: Asset) -> list[Material]:
+    """The materials that are in use, each once."""
+    used = [asset.parts[instance.part].material for instance in asset.instances]
+    return list({id(material): material for material in used}.values())
+
+
+def _texture_size(materials: list[Material]) -> int:
+    """Largest side of an embedded texture, smaller where a model has many."""
+    textured = sum(max(m.base_color.size, m.specular.size) > 64 for m in materials)
+    return TEXTURE_SIZE if textured <= 4 else max(64, int(TEXTURE_SIZE * (4 / textured) ** 0.5))
+
+
+def _id(material: int, channel: str) -> str:
+    return f"texture-{material}-{channel}"
