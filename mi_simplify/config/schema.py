@@ -101,6 +101,11 @@ class Initial(Section):
     keep_uv: bool = Field(
         False, description="Refuse a `mesh` whose texture coordinates cannot be kept instead of unwrapping it anew."
     )
+    repair: bool = Field(
+        True,
+        description="Mend a damaged `mesh` by the asset before it is fitted: pieces that came off, stray vertices, "
+        "lost volume; only where `vertices` are fitted.",
+    )
     atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
     crease_angle: float = Field(
         20.0,

@@ -47,9 +47,9 @@ class ClosestPoints:
     def __init__(self, vertices: np.ndarray, faces: np.ndarray, n_samples: int = 200_000, seed: int = 0):
         self.corners = np.asarray(vertices, np.float64)[faces]  # (F, 3, 3)
         cross = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
-        double_area = np.linalg.norm(cross, axis=1)
-        self.normals = cross / np.maximum(double_area, 1e-300)[:, None]  # (F, 3)
-        points, self._face_of = sample_surface(self.corners, double_area, n_samples, seed)
+        self.double_area = np.linalg.norm(cross, axis=1)
+        self.normals = cross / np.maximum(self.double_area, 1e-300)[:, None]  # (F, 3)
+        points, self._face_of = sample_surface(self.corners, self.double_area, n_samples, seed)
         self._tree = cKDTree(points)
 
     def query(self, points: np.ndarray, normals: np.ndarray | None = None, candidates: int = 8) -> Closest:

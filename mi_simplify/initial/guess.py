@@ -14,6 +14,7 @@ from ..latent.model import Mesh, Model
 from ..scenes.asset import Asset
 from .bake import bake
 from .cleanup import clean, merge
+from .closest import ClosestPoints
 from .decimate import decimate
 from .kept import keep_mesh
 from .sphere import sphere
@@ -35,6 +36,7 @@ def first_guess(
     kind: str = "decimate",
     init: Asset | None = None,
     keep_uv: bool = False,
+    repair: bool = False,
     samples: int = 2,
     padding: int = 4,
     time_limit: float = 60.0,
@@ -61,6 +63,8 @@ def first_guess(
         Low-poly mesh in the frame of ``asset``, for ``kind="mesh"``. UVs without overlap are kept.
     keep_uv : bool
         Refuse ``init`` where its UVs cannot be kept.
+    repair : bool
+        Mend ``init`` where it is damaged: pieces that came off, stray vertices, lost volume.
     samples : int
         ``samples``² points are baked for every texel.
     padding : int
@@ -98,9 +102,10 @@ def first_guess(
                 f"{init.name} does not stand where {asset.name} does: their boxes do not meet; export both in the same "
                 "place and unit"
             )
+        soup = clean(merge(asset))[0] if repair else None
         mesh, more = keep_mesh(
-            init, keep_uv=keep_uv, atlas_size=atlas_size, padding=padding, time_limit=time_limit,
-            crease_angle=crease_angle,
+            init, reference=None if soup is None else ClosestPoints(soup.positions, soup.position_faces),
+            keep_uv=keep_uv, atlas_size=atlas_size, padding=padding, time_limit=time_limit, crease_angle=crease_angle,
         )  # fmt: skip
     else:
         if triangles is None:

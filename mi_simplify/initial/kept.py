@@ -17,12 +17,15 @@ from ..latent.topology import normal_groups
 from ..scenes.asset import Asset
 from .atlas import overlap_fraction
 from .cleanup import Soup, clean, merge
+from .closest import ClosestPoints
+from .repair import repair
 from .unwrap import check, unwrap
 
 
 def keep_mesh(
     init: Asset,
     *,
+    reference: ClosestPoints | None = None,
     keep_uv: bool = False,
     atlas_size: int = 1024,
     padding: int = 4,
@@ -30,12 +33,14 @@ def keep_mesh(
     crease_angle: float = 20.0,
 ) -> tuple[Mesh, list[str]]:
     """
-    A low-poly mesh as it is, cleaned, with its UVs where they can be baked to and new ones where they cannot.
+    A low-poly mesh, cleaned and perhaps repaired, with its own UVs if they can be baked to and new ones if not.
 
     Parameters
     ----------
     init : Asset
         All its parts become one mesh.
+    reference : ClosestPoints, optional
+        The detailed surface to repair the mesh by, see :func:`repair`; without it no vertex moves.
     keep_uv : bool
         Refuse a mesh whose UVs cannot be baked to instead of making new ones.
     atlas_size, padding, time_limit, crease_angle
@@ -54,6 +59,10 @@ def keep_mesh(
         ``keep_uv``, and the UVs overlap, are missing, or have no area.
     """
     soup, notes = clean(merge(init))
+    if reference is not None:
+        positions, index, more = repair(soup.positions, soup.position_faces, reference)
+        soup = replace(soup, positions=positions, position_index=index[soup.position_index])
+        notes += more
     why = _unusable(init, soup)
     if why and keep_uv:
         raise MeshError(
