@@ -57,11 +57,11 @@ class Record:
         KeyboardInterrupt
             After the running step; state and best model are in the folder.
         """
-        start = time.perf_counter()
-        if state is not None:
-            start -= state["seconds"]
-            self.folder.rewind_log(state["done"])
-            progress(Progress("fit", state["done"], self.config.optimizer.steps, message="resumed"))
+        done, before = (0, 0.0) if state is None else (state["done"], state["seconds"])
+        start = time.perf_counter() - before
+        if self.folder.resume:
+            self.folder.rewind_log(done)
+            progress(Progress("fit", done, self.config.optimizer.steps, message="resumed"))
 
         def logged(event: Progress) -> None:
             seconds = round(time.perf_counter() - start, 3)

@@ -3,7 +3,6 @@
 import json
 import logging
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -26,6 +25,8 @@ from mi_simplify.fitting import Fit, Run, fit
 from mi_simplify.job import run_job
 from mi_simplify.progress import Progress
 from mi_simplify.scenes.reference import make_reference
+
+resource = pytest.importorskip("resource", reason="POSIX")
 
 TINY = [
     "asset=sample:relic", "optimizer.batch=2", "evaluation.resolution=32", "evaluation.views=2", "evaluation.every=10",
@@ -396,6 +397,15 @@ def test_an_interrupted_run_goes_on_and_then_there_is_nothing_left_to_resume(sto
     capsys.readouterr()
     assert cli.main([*command, "--resume"]) == 2
     assert "out holds a finished run, there is nothing to resume" in capsys.readouterr().err
+
+
+def test_a_run_that_reached_no_state_begins_again_with_its_first_guess(stopped, monkeypatch):
+    folder, command = stopped
+    (folder / "out" / "checkpoint" / "state.npz").unlink()
+    monkeypatch.setattr(job, "guess_for", None)
+    assert cli.main([*command, "--resume"]) == 0
+    steps = [json.loads(line)["step"] for line in (folder / "out" / "log.jsonl").read_text().splitlines()]
+    assert steps == [1, 10, 11, 20, 21, 30]
 
 
 def test_a_folder_that_disappears_is_made_again(tmp_path, caplog):
