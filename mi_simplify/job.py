@@ -98,7 +98,6 @@ def guess_for(asset: Asset, config: Config, frame: Frame) -> tuple[Model, list[s
         init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh, purpose="low-poly mesh")),
         keep_uv=initial.keep_uv,
         repair=initial.repair and "vertices" in config.latent.optimize,
-        repair=initial.repair and "vertices" in config.latent.optimize,
         seed=config.seed,
         crease_angle=initial.crease_angle,
     )
