@@ -23,6 +23,8 @@ height of a face over its length; each row is for where nothing could be collaps
 """
 _BORDER = 10.0
 """Weight of the planes that hold open and non-manifold edges in place, against a face plane of the same size."""
+_LEAST_IMPORTANCE = 0.02
+"""What nobody sees still has a shape."""
 _MEMORY = 0.1
 """Share of the quadrics accumulated since the beginning."""
 _TIP = (0.3, 0.7)
@@ -35,7 +37,9 @@ _LENGTH = 1e-6
 """Cost of collapsing a long edge in a flat region, as a share of what a bent one costs."""
 
 
-def decimate(positions: np.ndarray, faces: np.ndarray, n_triangles: int) -> tuple[np.ndarray, np.ndarray]:
+def decimate(
+    positions: np.ndarray, faces: np.ndarray, n_triangles: int, importance: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """
     At most ``n_triangles`` triangles that follow a surface.
 
@@ -48,6 +52,8 @@ def decimate(positions: np.ndarray, faces: np.ndarray, n_triangles: int) -> tupl
     n_triangles : int
         Budget, at least 4. A small component goes as a whole where that costs less than the next collapses, and the
         smallest ones where nothing can be collapsed any more.
+    importance : ndarray, shape (P,), optional
+        How much an error counts around each position, 1 if not given.
 
     Returns
     -------
@@ -65,19 +71,20 @@ def decimate(positions: np.ndarray, faces: np.ndarray, n_triangles: int) -> tupl
     centre = positions[np.unique(faces)].mean(0)
     scale = 1 / np.ptp(positions[np.unique(faces)], axis=0).max()
     p = (positions - centre) * scale
+    weights = np.ones(len(p)) if importance is None else np.maximum(importance, _LEAST_IMPORTANCE)
     past, patience = None, 0
     while len(faces) > n_triangles:
-        mesh = _Round(p, faces, past)
+        mesh = _Round(p, faces, weights, past)
         chosen, targets, price = mesh.choose(len(faces) - n_triangles, *_LENIENCE[patience])
         if len(chosen):
             patience = 0
-            p, faces, past = mesh.collapse(chosen, targets)
+            p, faces, weights, past = mesh.collapse(chosen, targets)
             if len(faces) < 4 * n_triangles:
-                faces = _without_crumbs(p, faces, n_triangles, price)
+                faces = _without_crumbs(p, faces, weights, n_triangles, price)
         elif patience + 1 < len(_LENIENCE):
             patience += 1
         else:
-            faces = _without_crumbs(p, faces, n_triangles)
+            faces = _without_crumbs(p, faces, weights, n_triangles)
     used, faces = np.unique(faces, return_inverse=True)
     return p[used] / scale + centre, faces.reshape(-1, 3)
 
@@ -87,8 +94,8 @@ class _Round:
     The mesh before one round of collapses: edges, adjacency, quadrics.
     """
 
-    def __init__(self, p: np.ndarray, faces: np.ndarray, past: np.ndarray | None = None):
-        self.p, self.faces, self.n = p, faces, len(p)
+    def __init__(self, p: np.ndarray, faces: np.ndarray, weights: np.ndarray, past: np.ndarray | None = None):
+        self.p, self.faces, self.weights, self.n = p, faces, weights, len(p)
         start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
         key = np.minimum(start, end) * self.n + np.maximum(start, end)
         self.key, first, self.counts = np.unique(key, return_index=True, return_counts=True)
@@ -112,19 +119,20 @@ class _Round:
         normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
         length = np.linalg.norm(normal, axis=1)
         normal /= np.maximum(length, 1e-300)[:, None]
-        planes = _planes(normal, p[:, 0], length / 6)  # a third of the area to each corner
+        share = length / 6 * self.weights[self.faces].mean(1)  # a third of the area to each corner
+        planes = _planes(normal, p[:, 0], share)
         indptr = np.append(self.first_corner, len(self.corner))
         gather = csr_array((np.ones(len(self.corner)), self.corner // 3, indptr), shape=(self.n, len(self.faces)))
         quadrics = gather @ planes
         rim = self.counts != 2
-        self.hold = gather @ (length / 6) * self._pointedness(p, length, rim)
+        self.hold = gather @ share * self._pointedness(p, length, rim)
         if rim.any():
             a, b = self.p[self.edges[rim].T]
             along = b - a
             across = np.cross(along, normal[a_face[rim]])
             length2 = np.einsum("ei,ei->e", along, along)
             across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-            planes = _planes(across, a, _BORDER * length2)
+            planes = _planes(across, a, _BORDER * length2 * self.weights[self.edges[rim]].mean(1))
             for k in range(2):
                 np.add.at(quadrics, self.edges[rim, k], planes)
         return quadrics
@@ -226,17 +234,17 @@ class _Round:
             ok &= np.bincount(owner[bad], minlength=len(edges)) == 0
         return ok
 
-    def collapse(self, edges: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and faces after the edges have become their targets."""
+    def collapse(self, edges: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, faces, weights and accumulated quadrics after the edges have become their targets."""
         a, b = self.edges[edges].T
-        p = self.p.copy()
+        p, weights, past = self.p.copy(), self.weights.copy(), self.past.copy()
         p[a] = target
-        past = self.past.copy()
+        weights[a] = (weights[a] + weights[b]) / 2
         past[a] += past[b]
         name = np.arange(self.n)
         name[b] = a
         f = name[self.faces]
-        return p, f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])], past
+        return p, f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])], weights, past
 
 
 def _rows(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -270,7 +278,9 @@ def _minimise(q: np.ndarray, anchor: np.ndarray, pull: np.ndarray) -> np.ndarray
     return np.where(determinant[:, None] > 0, point / np.maximum(determinant, 1e-300)[:, None], anchor)
 
 
-def _without_crumbs(p: np.ndarray, faces: np.ndarray, n_triangles: int, price: float = np.inf) -> np.ndarray:
+def _without_crumbs(
+    p: np.ndarray, faces: np.ndarray, weights: np.ndarray, n_triangles: int, price: float = np.inf
+) -> np.ndarray:
     """
     The faces without the components that cost less than a collapse of ``price``, cheapest first, down to the budget.
 
@@ -284,7 +294,8 @@ def _without_crumbs(p: np.ndarray, faces: np.ndarray, n_triangles: int, price: f
             raise MeshError(f"this surface cannot be reduced below {len(faces)} triangles; ask for at least as many")
         return faces
     c = p[faces]
-    area = np.bincount(component, np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1) / 2)
+    area = np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1) / 2
+    area = np.bincount(component, area * weights[faces].mean(1))
     low, high = np.full((len(names), 3), np.inf), np.full((len(names), 3), -np.inf)
     np.minimum.at(low, component, c.min(1))
     np.maximum.at(high, component, c.max(1))

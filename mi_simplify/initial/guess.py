@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import MeshError
 from ..latent.model import Mesh, Model
+from ..runtime import ensure_variant
 from ..scenes.asset import Asset
 from .bake import bake
 from .cleanup import clean, merge
@@ -173,7 +174,12 @@ def reduced(asset: Asset, triangles: int) -> tuple[np.ndarray, np.ndarray, list[
             f"({_n_positions(asset)} vertices); ask for fewer"
         )
     soup, notes = clean(merge(asset))
-    positions, faces = decimate(soup.positions, soup.position_faces, triangles)
+    ensure_variant()
+    from .visibility import visibility  # traces rays
+
+    opaque = np.array([m.alpha_mode == "OPAQUE" for m in soup.materials])[soup.material_index]
+    seen = visibility(soup.positions, soup.position_faces, opaque)
+    positions, faces = decimate(soup.positions, soup.position_faces, triangles, seen)
     return positions, faces, notes
 
 
