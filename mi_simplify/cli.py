@@ -190,21 +190,42 @@ def bake(reference, lowpoly, keep_uv, out, atlas_size, variant, overwrite, quiet
         print("\n".join(str(path) for path in files.values()))
 
 
+_JUDGED = _options(
+    click.argument("reference"),
+    click.argument("candidates", nargs=-1, required=True),
+    click.option("--views", type=click.IntRange(1, 1024), default=8, show_default=True, help="Held-out views."),
+    click.option("--resolution", type=click.IntRange(16, 8192), default=256, show_default=True, help="Side [px]."),
+    click.option("--spp", type=click.IntRange(1, 65536), default=64, show_default=True, help="Samples per pixel."),
+    click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Views and noise."),
+    _VARIANT,
+    _OVERWRITE,
+    _QUIET,
+)
+
+
 @cli.command()
-@click.argument("reference")
-@click.argument("candidates", nargs=-1, required=True)
-@click.option("--out", "-o", metavar="FOLDER", help="Also write figures and pictures there.")
-@click.option("--views", type=click.IntRange(1, 1024), default=8, show_default=True, help="Held-out views.")
-@click.option("--resolution", type=click.IntRange(16, 8192), default=256, show_default=True, help="Image side [px].")
-@click.option("--spp", type=click.IntRange(1, 65536), default=64, show_default=True, help="Samples per pixel.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Only figures of one seed compare.")
-@_VARIANT
-@_OVERWRITE
-@_QUIET
-def evaluate(reference, candidates, out, views, resolution, spp, seed, variant, overwrite, quiet) -> None:
+@_JUDGED
+@click.option("--out", "-o", metavar="FOLDER", help="Also write figures, pictures and the report there.")
+def evaluate(**options) -> None:
     """
     Measure how much each of CANDIDATES looks like REFERENCE: PSNR, FLIP, silhouette error.
     """
+    _judge(**options)
+
+
+@cli.command()
+@_JUDGED
+@click.option("--out", "-o", metavar="FOLDER", required=True, help="Where report.html, figures and pictures go.")
+def compare(**options) -> None:
+    """
+    Set CANDIDATES beside REFERENCE in a report: pictures with a divider, models in 3D, figures.
+    """
+    _judge(**options)
+    if not options["quiet"]:
+        print(Path(options["out"], "report.html"))
+
+
+def _judge(reference, candidates, out, views, resolution, spp, seed, variant, overwrite, quiet) -> None:
     _prepare(variant)
     from .job import evaluate_job, figure_rows
 
@@ -214,6 +235,18 @@ def evaluate(reference, candidates, out, views, resolution, spp, seed, variant, 
             n_views=views, resolution=resolution, spp=spp, seed=seed, variant=variant, overwrite=overwrite,
         )  # fmt: skip
     print("\n".join(figure_rows(figures)))
+
+
+@cli.command()
+@click.argument("out")
+def report(out) -> None:
+    """
+    Build report.html again from what the folder OUT of a finished run or comparison holds.
+    """
+    _prepare(None)
+    from .report import report_folder
+
+    print(report_folder(out))
 
 
 @cli.command()

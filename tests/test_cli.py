@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -295,7 +296,9 @@ def test_help_is_instant_and_complete(tmp_path):
     done = run_process("--help", cwd=tmp_path)
     assert time.perf_counter() - start < 2.0
     assert done.returncode == 0
-    for command in ("simplify", "run", "bake", "evaluate", "render", "doctor", "version", "config-schema"):
+    for command in (
+        "simplify", "run", "bake", "evaluate", "compare", "report", "render", "doctor", "version", "config-schema",
+    ):  # fmt: skip
         assert f"  {command} " in done.stdout
     heavy = "import sys; from mi_simplify import cli; cli.main(['--help']); print([m for m in %r if m in sys.modules])"
     program = heavy % ["mitsuba", "drjit", "numpy", "pydantic", "rich"]
@@ -469,6 +472,32 @@ def test_evaluate_bake_and_render_on_the_result(toy, tmp_path, capsys):
     assert image[0, 0].max() == 0
     assert cli.main(["render", sphere, "-o", str(tmp_path / "p.exr"), "--resolution", "16", "--spp", "1"]) == 0
     assert (tmp_path / "p.exr").stat().st_size > 500
+
+
+def test_the_report_of_a_run_is_built_again_from_its_folder(toy, tmp_path, capsys, rejected):
+    folder = tmp_path / "moved"
+    shutil.copytree(toy / "out", folder)
+    before = (folder / "report.html").read_text()
+    (folder / "report.html").unlink()
+    assert cli.main(["report", str(folder)]) == 0
+    assert capsys.readouterr().out == f"{folder / 'report.html'}\n"
+    assert (folder / "report.html").read_text() == before
+    assert all(part in before for part in ('id="viewer"', "reference, 3,200 triangles", 'id="curves"', "roughness"))
+    (folder / "model.glb").write_bytes(b"glTF")
+    assert "model.glb" in rejected("report", str(folder))
+    assert "none holds no finished run; name a folder" in rejected("report", "none")
+
+
+def test_candidates_are_compared_in_a_report(toy, tmp_path, capsys, rejected):
+    sphere, model = str(toy / "sphere.ply"), str(toy / "out" / "model.glb")
+    small = ["--views", "2", "--resolution", "48", "--spp", "4"]
+    out = tmp_path / "side"
+    assert cli.main(["compare", sphere, model, sphere, *small, "-o", str(out), "--quiet"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+    text = (out / "report.html").read_text()
+    assert text.count("<option") > 10 and "reference, 3,200 triangles" in text and f"{model}, 300 triangles" in text
+    assert "already holds a run" in rejected("compare", sphere, model, "-o", str(out))
+    assert "Missing option '--out'" in rejected("compare", sphere, model)
 
 
 @pytest.fixture(scope="module")
