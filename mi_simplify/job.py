@@ -213,12 +213,17 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             save_comparison(comparison, stage)
         report_folder(folder.path, {"reference": asset, "result": result})
         folder.finished()
-    if shown < LEAST_PSNR:
-        raise Defect(
-            f"{written} does not show what was fitted: {shown:.1f} dB PSNR, where {LEAST_PSNR:.0f} are expected; "
-            "all files are kept, please report this with them"
-        )
+    _require_shown(shown, written)
     return Result(folder.path, guess, model, comparison.figures)
+
+
+def _require_shown(psnr: float, written: Path) -> None:
+    """Raise where a file does not show the model it was made from."""
+    if psnr < LEAST_PSNR:
+        raise Defect(
+            f"{written} does not show the model it was made from: {psnr:.1f} dB PSNR, where "
+            f"{LEAST_PSNR:.0f} are expected; all files are kept, please report this with them"
+        )
 
 
 def _facts(config: Config) -> dict[str, str]:
@@ -244,6 +249,13 @@ def bake_job(
     -------
     dict
         Format to path of the models written.
+
+    Raises
+    ------
+    UserError
+        A file or the folder cannot be used.
+    Defect
+        The exported file does not show what was baked; it is written all the same.
     """
     folder = RunFolder(out, overwrite=overwrite)
     ensure_variant(variant)
@@ -254,7 +266,9 @@ def bake_job(
     progress(Progress("export"))
     with folder.opened(), folder.staged() as stage:
         files = export_model(model, stage, extras={"generator": f"mi_simplify {__version__}"})
-    return {name: folder.path / path.name for name, path in files.items()}
+    files = {name: folder.path / path.name for name, path in files.items()}
+    _require_shown(self_check(model, load_asset(files["glb"])), files["glb"])
+    return files
 
 
 def evaluate_job(

@@ -82,8 +82,20 @@ def test_a_file_that_shows_something_else_is_an_error_that_keeps_all_files(tmp_p
     settings = [word for text in small for word in ("--set", text)]
     out = tmp_path / "out"
     assert cli.main(["simplify", str(tmp_path / "ball.ply"), "-n", "200", "-o", str(out), "-q", *settings]) == 1
-    err = capsys.readouterr().err.splitlines()[-1]
+    err = capsys.readouterr().err.splitlines()
     figure = json.loads((out / "metrics.json").read_text())["run"]["self_check"]
     assert figure["file"] == "model.glb"
-    assert err.startswith(f"error: {out / 'model.glb'} does not show what was fitted: {figure['psnr']:.1f} dB PSNR")
+    expected = f"error: {out / 'model.glb'} does not show the model it was made from: {figure['psnr']:.1f} dB"
+    assert err[-1].startswith(expected)
     assert (out / "model.glb").is_file() and (out / "report.html").is_file()
+    low, baked = str(out / "model.obj"), tmp_path / "baked"
+    assert cli.main(["bake", str(tmp_path / "ball.ply"), low, "-o", str(baked), "-q", "--atlas-size", "64"]) == 1
+    assert "does not show the model it was made from" in capsys.readouterr().err
+    assert (baked / "model.glb").is_file()
+
+
+@pytest.mark.parametrize(("scale", "offset"), [(1e-4, 0.0), (1e4, 0.0), (1.0, 100.0)])
+def test_scale_and_place_do_not_matter(tmp_path, scale, offset):
+    model = textured_sphere().transformed(scale, np.full(3, offset))
+    (asset,) = written(model, tmp_path)
+    assert self_check(model, asset, resolution=96) > 55
