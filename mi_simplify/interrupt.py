@@ -1,5 +1,5 @@
 """
-Ctrl-C that waits for a good moment.
+Ctrl-C, and the SIGTERM of batch systems, that wait for a good moment.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Self
 
 class DeferredInterrupt:
     """
-    A context in which the first Ctrl-C is only noted; the second one interrupts as usual.
+    A context in which the first signal is only noted; the second one interrupts as usual.
 
     Dr.Jit turns an exception that Python raises inside one of its callbacks into another error, and
     an interrupted step leaves a model half updated: so whoever runs the steps calls :meth:`check`
@@ -27,12 +27,13 @@ class DeferredInterrupt:
     def __enter__(self) -> Self:
         self._main = threading.current_thread() is threading.main_thread()
         if self._main:
-            self._before = signal.signal(signal.SIGINT, self._note)
+            self._before = {number: signal.signal(number, self._note) for number in (signal.SIGINT, signal.SIGTERM)}
         return self
 
     def __exit__(self, kind: type | None, value: BaseException | None, trace: TracebackType | None) -> None:
         if self._main:
-            signal.signal(signal.SIGINT, self._before)
+            for number, before in self._before.items():
+                signal.signal(number, before)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if self.pending:

@@ -93,17 +93,18 @@ def test_every_public_name_exists():
         mi_simplify.nothing  # noqa: B018
 
 
-def test_the_first_interrupt_waits_and_the_second_does_not():
-    before = signal.getsignal(signal.SIGINT)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_interrupt_waits_and_the_second_does_not(number):
+    before = signal.getsignal(number)
     with DeferredInterrupt() as interrupt:
         interrupt.check()
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(number)
         assert interrupt.pending
         with pytest.raises(KeyboardInterrupt):
             interrupt.check()
         with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is before
+            signal.raise_signal(number)
+    assert signal.getsignal(number) is before
 
 
 def run_of_progress(display) -> None:
