@@ -107,6 +107,20 @@ def test_precedence_is_defaults_preset_file_overrides(tmp_path, monkeypatch):
     assert load_config(path, preset="balanced").optimizer.steps == load_config(None, [RELIC]).optimizer.steps
 
 
+def test_a_start_from_a_sphere_brings_its_own_rates_below_preset_and_file(tmp_path, monkeypatch):
+    monkeypatch.setitem(PRESETS, "fast", {"loss": {"coverage": 7.0}, "optimizer": {"steps": 1}})
+    path = write(tmp_path, "asset: sample:relic\ninitial: {kind: sphere}\noptimizer: {rates: {normal: 0.5}}\n")
+    usual, config = load_config(None, [RELIC]), load_config(path, preset="fast")
+    assert config.initial.textures == "constant" and usual.initial.textures == "bake"
+    assert config.optimizer.large_steps.lambda_ > 10 * usual.optimizer.large_steps.lambda_
+    assert (config.loss.coverage, config.optimizer.rates.normal, config.optimizer.steps) == (7.0, 0.5, 1)
+    assert load_config(write(tmp_path, dump(config))) == config
+    assert load_config(path, ["initial.textures=bake"]).initial.textures == "bake"
+    for kind in ("[sphere]", "cube"):
+        with pytest.raises(ConfigError, match="^initial.kind"):
+            load_config(None, [RELIC, f"initial.kind={kind}"])
+
+
 def test_later_overrides_win_and_the_callers_dicts_stay_as_they_are():
     layer = {"asset": "sample:relic", "optimizer": {"steps": 1}}
     config = load_config(None, [layer, "optimizer.steps=2", "optimizer.steps=3"])

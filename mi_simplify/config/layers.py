@@ -1,5 +1,5 @@
 """
-A configuration from its layers: defaults < preset < YAML file < overrides; and back into YAML.
+A configuration from its layers: defaults < start < preset < YAML file < overrides; and back into YAML.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from ..errors import ConfigError
-from .presets import PRESETS
+from .presets import PRESETS, STARTS
 from .problems import describe, nearest
 from .schema import Config, PathMark
 
@@ -60,6 +60,10 @@ def load_config(
             hint = nearest(str(name), PRESETS)
             raise ConfigError(f"preset: unknown preset {name!r}{hint}; one of {', '.join(PRESETS)}")
         merged = _merge(PRESETS[name], merged)
+    initial = merged.get("initial")
+    kind = initial.get("kind") if isinstance(initial, Mapping) else None
+    if isinstance(kind, str):
+        merged = _merge(STARTS.get(kind, {}), merged)
     try:
         return Config.model_validate(merged)
     except ValidationError as error:

@@ -12,7 +12,7 @@ import yaml
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from .presets import PRESETS
+from .presets import PRESETS, STARTS
 from .schema import Config
 
 _LIMITS = {
@@ -49,11 +49,20 @@ def markdown() -> str:
     for title, intro, rows in _sections(Config, ""):
         lines += ["", f"## {title}", "", intro, "", "| key | type | default | meaning |", "| --- | --- | --- | --- |"]
         lines += rows
-    lines += ["", "## Presets", "", "What each preset sets, everything else keeps its default."]
-    for name, overrides in PRESETS.items():
-        body = yaml.safe_dump(overrides, sort_keys=False).strip() if overrides else "# the defaults"
-        lines += ["", f"`{name}`:", "", "```yaml", body, "```"]
+    for title, intro, sets in (
+        ("Presets", "What each preset sets, everything else keeps its default.", PRESETS),
+        ("Starts", "What a start from another `initial.kind` sets, below the preset and the file.", STARTS),
+    ):
+        lines += ["", f"## {title}", "", intro]
+        for name, overrides in sets.items():
+            lines += _yaml_block(name, overrides)
     return "\n".join(lines) + "\n"
+
+
+def _yaml_block(name: str, overrides: dict[str, Any]) -> list[str]:
+    """A name and its overrides as YAML."""
+    body = yaml.safe_dump(overrides, sort_keys=False).strip() if overrides else "# the defaults"
+    return ["", f"`{name}`:", "", "```yaml", body, "```"]
 
 
 def _sections(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, str, list[str]]]:
