@@ -1,4 +1,4 @@
-# The whole vocabulary: install, demo, test, slow, lint, format, docs, clean (see CONTRIBUTING.md).
+# The whole vocabulary: install, demo, test, slow, browser, lint, format, docs, clean (see CONTRIBUTING.md).
 # PYTHON=/path/to/python3.12 chooses the interpreter that .venv is made from.
 
 # The first Python from 3.11 to 3.13, for which all wheels exist.
@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 OUT ?= out/demo
 ARGS ?=
 
-.PHONY: install demo test slow lint format docs clean
+.PHONY: install demo test slow browser lint format docs clean
 .DEFAULT_GOAL := install
 
 install: $(VENV)/.installed
@@ -33,13 +33,24 @@ $(VENV)/.docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@
 
+# What the tests of the report in a real browser need; without it they are skipped, so nothing here has to succeed.
+$(VENV)/.browser: $(VENV)/.installed
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[browser]' || \
+		echo "no playwright could be installed: the browser tests will be skipped" >&2
+	@for c in chromium chromium-browser google-chrome; do command -v $$c >/dev/null && exit; done; \
+		test "$$(id -u)" = 0 && apt-get update -qq && apt-get install -qq --no-install-recommends chromium >/dev/null || \
+		echo "no chromium could be installed: the browser tests will be skipped" >&2
+	@touch $@
+
+browser: $(VENV)/.browser
+
 demo: install
 	$(BIN)/mi-simplify run scenes/demo.yaml -o $(OUT) --overwrite $(ARGS)
 
-test: install
+test: browser
 	$(BIN)/python -m pytest -m "not slow" $(ARGS)
 
-slow: install
+slow: browser
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
 lint: install

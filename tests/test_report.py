@@ -51,6 +51,7 @@ def comparison() -> Comparison:
         "settings": {"spp": 16},
         "reference": {"name": "disc", "triangles": 100_000},
         "candidates": {name: {"triangles": 500, **compare(reference, c)} for name, c in candidates.items()},
+        "run": {"notes": []},
     }
     return Comparison(reference, candidates, figures)
 
@@ -209,6 +210,9 @@ def test_report_needs_no_more_than_a_comparison(comparison, tmp_path):
     page = Page(write_report(tmp_path / "report.html", comparison, title="disc").read_text(encoding="utf-8"))
     assert page.sections == ["summary", "side-by-side", "views", "figures"]
     assert page.scripts == ["application/json", None]
+    del comparison.figures["run"]  # candidates of equal rank: all of them first, none as the result
+    page = Page(write_report(tmp_path / "report.html", comparison, title="disc").read_text(encoding="utf-8"))
+    assert page.sections == ["figures", "side-by-side", "views"]
 
 
 def test_the_grid_shows_the_errors_of_the_last_candidate_first(comparison, tmp_path):

@@ -84,12 +84,14 @@ def write_report(
     names = list(comparison.candidates)
     beside = _section("side-by-side", "Side by side", divider(columns, len(names)), _DIVIDER_HINT)
     turning = _section("model", "In 3D", _viewer(models), _VIEWER_HINT)
+    table = _section("figures", "Figures", _table(figures))
+    is_fit = "run" in figures or len(names) < 2  # the last candidate is what all the others are for
     sections = [
-        _cards(figures, log),
+        _cards(figures, log) if is_fit else table,
         f'<div class="pair">{beside}{turning}</div>',
         _section("views", "Held-out views", grid(columns, names), _views_hint(figures) + left_out(comparison)),
-        _section("textures", "Textures", texture_sheets(list(models.values())[-1]) if models else ""),
-        _section("figures", "Figures", _table(figures)),
+        *(_section("textures", f"Textures of {name}", texture_sheets(asset)) for name, asset in [*models.items()][-1:]),
+        table if is_fit else "",
         _section("curves", "Course of the fit", _curves(log)),
         _section("notes", "Notes", _notes(notes)),
         _section("files", "Files", _files(files)),
