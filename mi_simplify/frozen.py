@@ -35,21 +35,23 @@ def frozen(*varying: str):
     def decorate(function):
         names = list(inspect.signature(function).parameters)
 
-        def widths(*args):
+        def state(*args):
             named = zip(names, args, strict=True)
-            return [dr.thread_count(), *(_widths(value) for name, value in named if name not in varying)]
+            # One text: a number that was met before, even as the width of an array, is not compared (Dr.Jit 1.5), so that
+            # 32 samples a pixel were taken for 64 where the film was 64 wide and a texture 32.
+            return repr([dr.thread_count(), *(_state(value, name not in varying) for name, value in named)])
 
-        return dr.freeze(function, state_fn=widths, warn_after=1000)
+        return dr.freeze(function, state_fn=state, warn_after=1000)
 
     return decorate
 
 
-def _widths(value):
+def _state(value, with_widths: bool):
     """
-    Widths of all arrays in a value.
+    Widths of all arrays in a value, where asked for, and its plain numbers.
     """
     if dr.is_array_v(value):
-        return dr.width(value)
+        return dr.width(value) if with_widths else None
     if dataclasses.is_dataclass(value):
-        return [_widths(getattr(value, f.name)) for f in dataclasses.fields(value)]
-    return None
+        return [_state(getattr(value, f.name), with_widths) for f in dataclasses.fields(value)]
+    return value if isinstance(value, (bool, int, float, str)) else None

@@ -60,3 +60,22 @@ def test_other_widths_and_numbers_are_recorded_anew():
     for width, scale in ((50, 2.0), (80, 3.0), (5000, 2.0), (80, 2.0)):
         check(width, 21, scale)
     assert adjoint.n_recordings == before
+
+
+@dataclass
+class Film:
+    value: mi.Float
+    width: int
+    spp: int
+
+
+@frozen()
+def exposed(film):
+    return film.value * film.spp
+
+
+def test_numbers_that_equal_others_count():
+    """Dr.Jit's own comparison passes over a number that it met before: here 64 and 32, which are widths, too."""
+    for spp in (64, 32, 48, 2):
+        got = exposed(Film(upload(mi.Float, np.ones(32, np.float32)), 64, spp))
+        assert got.numpy() == pytest.approx(spp)
