@@ -66,6 +66,7 @@ def test_other_widths_and_numbers_are_recorded_anew():
 class Film:
     value: mi.Float
     width: int
+    height: int
     spp: int
 
 
@@ -75,7 +76,7 @@ def exposed(film):
 
 
 def test_numbers_that_equal_others_count():
-    """Dr.Jit's own comparison passes over a number that it met before: here 64 and 32, which are widths, too."""
+    """Dr.Jit's own comparison passes over a number that it met before: 64 and 32 here."""
     for spp in (64, 32, 48, 2):
-        got = exposed(Film(upload(mi.Float, np.ones(32, np.float32)), 64, spp))
+        got = exposed(Film(upload(mi.Float, np.ones(5, np.float32)), 64, 32, spp))
         assert got.numpy() == pytest.approx(spp)
