@@ -18,6 +18,7 @@ from .frame import Frame
 from .interrupt import DeferredInterrupt
 from .latent.model import Model
 from .output import RunFolder
+from .preview import PREVIEW, Preview
 from .progress import Progress, ProgressCallback
 from .scenes.reference import Reference
 
@@ -68,7 +69,13 @@ class Record:
             self.folder.log(stage=event.stage, step=event.step, loss=event.loss, psnr=event.psnr, seconds=seconds)
             progress(event)
 
-        return fit(guess, reference, self.config, logged, self._keep, state)
+        preview = Preview(self.folder.path / PREVIEW)
+
+        def after_step(run: Run) -> None:
+            preview(run)
+            self._keep(run)
+
+        return fit(guess, reference, self.config, logged, after_step, state)
 
     def _keep(self, run: Run) -> None:
         """After every step: a checkpoint where one is due, and the end where that is wanted."""

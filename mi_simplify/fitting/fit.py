@@ -15,7 +15,7 @@ from ..integrators.deferred import DeferredRenderer
 from ..latent.latent import Latent
 from ..latent.model import Model
 from ..scenes.reference import Reference
-from ..scenes.views import goniometer
+from ..scenes.views import Views, goniometer
 from ..upload import upload
 from .laplacian import Laplacian
 from .losses import frame_loss, image_loss, srgb
@@ -141,6 +141,26 @@ class Fit:
             self.renderer.move(positions)
             return self.latent.model(positions.numpy()), self.latent.evaluate(positions), self.latent.textures
 
+    def _look(self, views: Views) -> np.ndarray:
+        """The current state from some views, shape (B, H, W, 4), without what the reference alone computes."""
+        with dr.suspend_grad():
+            positions = self.vertices.positions()
+            self.renderer.move(positions)
+            surface, seed = self.latent.evaluate(positions), dr.opaque(mi.UInt32, 1)
+            frame = self.renderer.render(surface, self.latent.textures, views, spp=16, seed=seed)
+        return frame.image.numpy().T.reshape(len(views), views.height, views.width, 4)
+
+    def preview(self) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Reference and current state from the first of the views that are never fitted.
+
+        Returns
+        -------
+        reference, current : ndarray, shape (1, H, W, 4), float32
+            Linear radiance on black, and coverage; lit directly where the fit adds the rest as a constant.
+        """
+        return self._held_out_images[:1], self._look(self.held_out.take(np.arange(1)))
+
     def judge(self) -> tuple[float, float]:
         """
         How good the current state is on views that are never fitted.
@@ -152,11 +172,7 @@ class Fit:
         psnr : float
             Of clipped sRGB on black, mean over views [dB].
         """
-        _, surface, textures = self._state()
-        seed = dr.opaque(mi.UInt32, 1)
-        with dr.suspend_grad():
-            frame = self.renderer.render(surface, textures, self.held_out, spp=16, seed=seed)
-        image = frame.image.numpy().T.reshape(self._held_out_images.shape)
+        image, seed = self._look(self.held_out), dr.opaque(mi.UInt32, 1)
         if self.pool.residual is not None:
             image = image + np.nan_to_num(self.pool.residual.render(self.held_out, 1))
         image = np.where(self._unknown, 0, image)
