@@ -37,8 +37,8 @@ def frozen(*varying: str):
 
         def state(*args):
             named = zip(names, args, strict=True)
-            # One text: a number that equals an earlier one is not compared (Dr.Jit 1.5), so that 32 samples a pixel were
-            # taken for 64 where the film was 64 wide and a texture 32.
+            # One text: a number that equals an earlier one is not compared (Dr.Jit 1.5), so that 32 samples a pixel
+            # were taken for 64 where the film was 64 wide and a texture 32.
             return repr([dr.thread_count(), *(_state(value, name not in varying) for name, value in named)])
 
         return dr.freeze(function, state_fn=state, warn_after=1000)
