@@ -1,0 +1,98 @@
+"""
+Every command and every Python snippet of README.md and docs/ runs, in a folder with the files that they name.
+"""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mi_simplify import cli
+from mi_simplify.initial.sphere import sphere
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+#: What makes a documented run short: nothing that a command or snippet is about.
+SHORT = [
+    "optimizer.steps=2", "optimizer.batch=1", "optimizer.resolution=32", "initial.atlas_size=256",
+    "evaluation.views=1", "evaluation.resolution=32", "evaluation.spp=4", "reference.spp=1", "reference.pool=2",
+]  # fmt: skip
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.S | re.M)
+
+
+def commands() -> list[str]:
+    lines = [line for page in PAGES for block in blocks(page, "sh") for line in block.splitlines()]
+    return sorted({line.split(" #")[0].strip() for line in lines if line.startswith("mi-simplify ")})
+
+
+def write_obj(path: Path, positions: np.ndarray, faces: np.ndarray) -> None:
+    lines = [f"v {x} {y} {z}" for x, y, z in positions] + [f"f {a} {b} {c}" for a, b, c in faces + 1]
+    path.write_text("\n".join(lines))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """The folder of a finished run."""
+    folder = tmp_path_factory.mktemp("finished")
+    write_obj(folder / "statue.obj", *waves(2400))
+    assert run(f"mi-simplify simplify {folder}/statue.obj --triangles 200 -o {folder}/run --quiet") == 0
+    return folder / "run"
+
+
+@pytest.fixture
+def workplace(finished, tmp_path, monkeypatch) -> Path:
+    """The current folder, with the files that the documentation speaks of."""
+    monkeypatch.chdir(tmp_path)
+    write_obj(tmp_path / "statue.obj", *waves(2400))
+    for path in finished.glob("model*"):
+        shutil.copy(path, tmp_path)
+    (tmp_path / "model.obj").rename("my_lowpoly.obj")
+    (tmp_path / "model.glb").rename("other.glb")
+    (tmp_path / "scenes").symlink_to(ROOT / "scenes")
+    for page in PAGES:
+        for block in blocks(page, "yaml"):
+            if block.startswith("asset: statue.obj"):
+                (tmp_path / "statue.yaml").write_text(block)
+    return tmp_path
+
+
+def waves(n: int) -> tuple[np.ndarray, np.ndarray]:
+    positions, faces = sphere(n)
+    return positions * (1 + 0.1 * np.sin(5 * positions)), faces
+
+
+def run(line: str) -> int:
+    """The exit code of a command, of which a documented run is made a short one."""
+    argv = shlex.split(line)[1:]
+    fits = argv[0] in ("simplify", "run")
+    return cli.main([*argv, *(x for setting in SHORT * fits for x in ("--set", setting))])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", [line for line in commands() if "--resume" not in line])  # see test_checkpoint.py
+def test_a_documented_command_succeeds(line, workplace, finished, capsys):
+    """Folders and files of earlier runs are there where the command does not write them."""
+    argv = shlex.split(line)
+    written = argv[argv.index("-o") + 1] if "-o" in argv else ""
+    for folder in {"out/statue", "out/demo"} - {written}:
+        shutil.copytree(finished, workplace / folder)
+    assert run(line) == 0, capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.name)
+def test_documented_snippets_run_in_their_order(page, workplace, monkeypatch):
+    import mi_simplify as ms
+
+    load = ms.load_config
+    monkeypatch.setattr(ms, "load_config", lambda *, overrides: load(overrides=[*overrides, *SHORT]))
+    names: dict = {}
+    for snippet in blocks(page, "python"):
+        exec(compile(snippet, page.name, "exec"), names)
