@@ -95,6 +95,7 @@ _JOB = _options(
 _KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")
 _OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
 _OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the run that OUT holds.")
+_TENSORBOARD = click.option("--tensorboard", is_flag=True, help="Also log for TensorBoard, into OUT/tensorboard.")
 _RESUME = click.option("--resume", is_flag=True, help="Go on with the unfinished run that OUT holds.")
 _QUIET = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 
@@ -116,6 +117,7 @@ def cli() -> None:
 @_JOB
 @_OVERWRITE
 @_RESUME
+@_TENSORBOARD
 @_QUIET
 def simplify(asset, triangles, init, keep_uv, out, config, settings, **options) -> None:
     """
@@ -136,6 +138,7 @@ def simplify(asset, triangles, init, keep_uv, out, config, settings, **options) 
 @_JOB
 @_OVERWRITE
 @_RESUME
+@_TENSORBOARD
 @_QUIET
 def run(config, out, settings, **options) -> None:
     """
@@ -148,10 +151,15 @@ def _default_folder(name: str) -> Path:
     return Path("out", Path(name).stem)
 
 
-def _run(config, out, overrides, *, preset, variant, fixed_shape, normal_only, skip, overwrite, resume, quiet) -> None:
+def _run(
+    config, out, overrides, *,
+    preset, variant, fixed_shape, normal_only, skip, tensorboard, overwrite, resume, quiet,
+) -> None:  # fmt: skip
     from .config import load_config, without
 
     chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
+    if tensorboard:
+        chosen["export"] = {"tensorboard": True}
     if normal_only:
         chosen["latent"] = {"optimize": ["normal"]}
     names = [name.strip() for text in skip for name in text.split(",")] + ["shape"] * fixed_shape

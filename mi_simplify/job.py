@@ -13,6 +13,7 @@ from . import __version__
 from .checkpoint import Checkpoint
 from .config import SAMPLE_PREFIX, Config, dump
 from .errors import AssetError, Defect
+from .events import require_tensorboard
 from .export import export_model
 from .export.files import write_atomic
 from .frame import Frame
@@ -151,6 +152,8 @@ def run_job(
         does not wait.
     """
     folder = RunFolder(out, overwrite=overwrite, resume=resume)
+    if config.export.tensorboard:
+        require_tensorboard()
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
     with DeferredInterrupt() as interrupt:
 

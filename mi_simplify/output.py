@@ -23,7 +23,10 @@ log = logging.getLogger("mi_simplify")
 
 LOG = "log.jsonl"
 CHECKPOINT = "checkpoint"
-MARKS = ("config.yaml", "metrics.json", LOG, CHECKPOINT, "model.glb", "model.obj", "model.usdc", "preview.png")
+MARKS = (
+    "config.yaml", "metrics.json", LOG, CHECKPOINT, "preview.png", "tensorboard",
+    "model.glb", "model.obj", "model.usdc",
+)  # fmt: skip
 """What only a run of ours leaves behind; a folder with one of these holds a run."""
 
 _STAGE = ".writing-"

@@ -12,6 +12,7 @@ from pathlib import Path
 from .checkpoint import Checkpoint
 from .config import Config
 from .errors import OutputError
+from .events import EVENTS, Events
 from .export import export_model
 from .fitting import FitResult, Run, fit
 from .frame import Frame
@@ -64,18 +65,27 @@ class Record:
             self.folder.rewind_log(done)
             progress(Progress("fit", done, self.config.optimizer.steps, message="resumed"))
 
+        preview = Preview(self.folder.path / PREVIEW)
+        events = Events(self.folder.path / EVENTS, done) if self.config.export.tensorboard else None
+
         def logged(event: Progress) -> None:
             seconds = round(time.perf_counter() - start, 3)
             self.folder.log(stage=event.stage, step=event.step, loss=event.loss, psnr=event.psnr, seconds=seconds)
+            if events is not None:
+                events.figures(event.step, loss=event.loss, psnr=event.psnr)
             progress(event)
 
-        preview = Preview(self.folder.path / PREVIEW)
-
         def after_step(run: Run) -> None:
-            preview(run)
+            picture = preview(run)
+            if events is not None and picture is not None:
+                events.picture(run.done, "reference and now", picture)
             self._keep(run)
 
-        return fit(guess, reference, self.config, logged, after_step, state)
+        try:
+            return fit(guess, reference, self.config, logged, after_step, state)
+        finally:
+            if events is not None:
+                events.close()
 
     def _keep(self, run: Run) -> None:
         """After every step: a checkpoint where one is due, and the end where that is wanted."""

@@ -417,7 +417,7 @@ def toy(tmp_path_factory) -> Path:
     sphere = bumpy_sphere(folder)
     arguments = ["-n", "300", "--quiet", "--set", "optimizer.steps=60", "--set", "initial.textures=constant"]
     arguments += ["--set", "optimizer.decay=0.3", "--set", "optimizer.rates.base_color=0.03"]
-    arguments += ["--set", "evaluation.baseline=true"]
+    arguments += ["--set", "evaluation.baseline=true", "--tensorboard"]
     assert cli.main(["simplify", str(sphere), "-o", str(folder / "out"), *arguments, *TOY]) == 0
     return folder
 
@@ -435,6 +435,7 @@ def test_a_toy_job_comes_much_closer_and_writes_everything(toy):
     log = [json.loads(line) for line in (toy / "out" / "log.jsonl").read_text().splitlines()]
     assert log[-1]["step"] == 60
     assert log[-1]["loss"] < 0.5 * log[0]["loss"]
+    assert len(list((toy / "out" / "tensorboard").iterdir())) == 1
 
 
 def test_the_resolved_config_describes_the_run(toy):

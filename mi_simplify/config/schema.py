@@ -233,6 +233,7 @@ class Export(Section):
     checkpoint: float = Field(
         30.0, ge=0, description="Seconds between two checkpoints, from which `--resume` goes on; 0: after every step."
     )
+    tensorboard: bool = Field(False, description="Also write the course of the fit for TensorBoard, a package apart.")
 
 
 class Config(Section):
