@@ -32,7 +32,8 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
        - Test the visibility of emitters. The derivative of shadow borders is *not* computed. (Default: false)
      * - layers
        - |int|
-       - Surfaces that a camera ray passes where their opacity is below 1, front to back. (Default: 1)
+       - Surfaces that a camera ray meets where their opacity is below 1, front to back; what is behind the last one is
+         not looked at, and coverage is what all of them hide. (Default: 1)
      * - edge_fraction
        - |float|
        - Edge samples for one camera sample. (Default: 0.25)

@@ -17,7 +17,7 @@ from .plugin import Plugin, direct_projective
 from .scenes import Scene, film_weights, parameters
 
 #: What extra cases look at; the meshes' own cases take every parameter.
-_FEW = ("translation x", "translation y", "rotation", "scale", "one vertex", "camera position", "texels base_color")
+_FEW = ("translation x", "translation y", "rotation", "scale", "camera position", "texels base_color")
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def _variations() -> list[Case]:
     def case(title: str, scene: str, only=_FEW, emitter=lambda: None, **options) -> Case:
         return Case(title, scene, lambda s: Plugin(s, headlight=False, emitter=emitter(), **options), only)
 
-    layers = (*_FEW, "texels opacity", "along normals")
+    layers = ("translation x", "translation y", "scale", "camera position", "texels opacity")
     return [
         case("two objects, Gaussian filter", "two objects", rfilter="gaussian"),
         case("cut by the border, Gaussian filter", "cut by the border", rfilter="gaussian"),

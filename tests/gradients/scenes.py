@@ -72,7 +72,7 @@ class Scene:
     effort : int
         Samples for one that other scenes take.
     step : float
-        Half step of finite differences [pixels], about.
+        Half step of finite differences [pixels], about: wide ones are quieter, but the derivative must not bend much.
     """
 
     name: str
@@ -249,7 +249,13 @@ _BUILD: dict[str, Callable[[], Scene]] = {
         "open sheet", (meshes.sheet(),), _camera((0.6, 0.9, -2.8), (2.5, 0.4, 1.4)), (64, 48), waves=6, effort=2
     ),
     "thin tube": lambda: Scene(
-        "thin tube", (meshes.tube(),), _camera((0.3, 0.2, -3), (2.2, 1, 1.9), fov=20), (32, 80), waves=40, effort=4
+        "thin tube",
+        (meshes.tube(),),
+        _camera((0.3, 0.2, -3), (2.2, 1, 1.9), fov=20),
+        (32, 80),
+        waves=40,
+        effort=4,
+        step=0.05,
     ),
     "two objects": lambda: Scene(
         "two objects", _two(), _camera((0.3, 0.5, -3), (1.6, 0.3, -2.6)), (64, 48), waves=10, effort=2
