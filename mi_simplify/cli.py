@@ -95,6 +95,7 @@ _JOB = _options(
 _KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")
 _OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
 _OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the run that OUT holds.")
+_DRY_RUN = click.option("--dry-run", is_flag=True, help="Say what would be done, its time and memory; write nothing.")
 _TENSORBOARD = click.option("--tensorboard", is_flag=True, help="Also log for TensorBoard, into OUT/tensorboard.")
 _RESUME = click.option("--resume", is_flag=True, help="Go on with the unfinished run that OUT holds.")
 _QUIET = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
@@ -118,6 +119,7 @@ def cli() -> None:
 @_OVERWRITE
 @_RESUME
 @_TENSORBOARD
+@_DRY_RUN
 @_QUIET
 def simplify(asset, triangles, init, keep_uv, out, config, settings, **options) -> None:
     """
@@ -139,6 +141,7 @@ def simplify(asset, triangles, init, keep_uv, out, config, settings, **options) 
 @_OVERWRITE
 @_RESUME
 @_TENSORBOARD
+@_DRY_RUN
 @_QUIET
 def run(config, out, settings, **options) -> None:
     """
@@ -153,7 +156,7 @@ def _default_folder(name: str) -> Path:
 
 def _run(
     config, out, overrides, *,
-    preset, variant, fixed_shape, normal_only, skip, tensorboard, overwrite, resume, quiet,
+    preset, variant, fixed_shape, normal_only, skip, tensorboard, dry_run, overwrite, resume, quiet,
 ) -> None:  # fmt: skip
     from .config import load_config, without
 
@@ -165,11 +168,13 @@ def _run(
     names = [name.strip() for text in skip for name in text.split(",")] + ["shape"] * fixed_shape
     settings = without(load_config(config, [*overrides, chosen], preset), names)
     _prepare(settings.variant)
+    from .forecast import forecast
     from .job import run_job
 
+    job: Callable[..., Any] = forecast if dry_run else run_job
     with _progress(quiet) as progress:
-        result = run_job(settings, out, progress, overwrite=overwrite, resume=resume)
-    if not quiet:
+        result = job(settings, out, progress, overwrite=overwrite, resume=resume)
+    if dry_run or not quiet:
         print(result.summary())
 
 

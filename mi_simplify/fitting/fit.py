@@ -92,9 +92,9 @@ class Fit:
         resolution = resolution_at(progress, config.optimizer.resolution)
         batch = config.optimizer.batch
         if self.pool.resolution != resolution:
-            self.pool.grow(max(2 * batch, _REFRESH_EVERY * config.reference.refresh), resolution)
-        elif index % _REFRESH_EVERY == 0:
-            self.pool.grow(_REFRESH_EVERY * config.reference.refresh, resolution)
+            self.pool.grow(max(2 * batch, REFRESH_EVERY * config.reference.refresh), resolution)
+        elif index % REFRESH_EVERY == 0:
+            self.pool.grow(REFRESH_EVERY * config.reference.refresh, resolution)
         views, reference, residual = self.pool.batch(batch)
         seed = dr.opaque(mi.UInt32, (config.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
 
@@ -246,4 +246,4 @@ def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance):
 
 
 #: Steps between two renewals of the pool: fewer, larger ones cost less.
-_REFRESH_EVERY = 16
+REFRESH_EVERY = 16

@@ -11,6 +11,7 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from .. import __version__
 from ..export.files import write_atomic
@@ -38,8 +39,19 @@ COSTS |= {"texels": ("texels", "{:,}".format), "bytes": ("file", _size)}
 """Heading and format of what a model costs."""
 
 
-def write_report(
-    path: str | Path,
+def write_report(path: str | Path, comparison: Comparison, **parts: Any) -> Path:
+    """
+    Write the page of :func:`report_page` into a file.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    return write_atomic(path, report_page(comparison, **parts))
+
+
+def report_page(
     comparison: Comparison,
     *,
     title: str,
@@ -49,13 +61,12 @@ def write_report(
     log: Sequence[Mapping] = (),
     files: Iterable[str | Path] = (),
     notes: Iterable[str] = (),
-) -> Path:
+) -> str:
     """
-    Write ``report.html``.
+    The content of ``report.html``.
 
     Parameters
     ----------
-    path : str or Path
     comparison : Comparison
         Of :func:`.evaluate.compare_assets`; the last candidate is the result, the first one what it is set against.
     title, summary : str
@@ -70,15 +81,6 @@ def write_report(
         Written files, listed with their sizes.
     notes : iterable of str
         What was repaired or left out, one line each.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
     """
     models, figures, columns = models or {}, comparison.figures, pictures(comparison)
     names = list(comparison.candidates)
@@ -101,7 +103,7 @@ def write_report(
     permitted = " ".join(map(script_hash, scripts))
     policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {permitted}"
     lead = f'<p class="lead">{html.escape(summary)}</p>' if summary else ""
-    page = f"""<!doctype html>
+    return f"""<!doctype html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
@@ -124,7 +126,6 @@ def write_report(
 {"".join(f"<script>{text}</script>{chr(10)}" for text in scripts)}</body>
 </html>
 """
-    return write_atomic(path, page)
 
 
 _DIVIDER_HINT = "Drag the divider, or use the arrow keys: left and right move it, up and down change the view."

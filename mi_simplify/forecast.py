@@ -1,0 +1,237 @@
+"""
+What a run would do and what it would take: it is begun in earnest, the first steps are timed, and nothing is written.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from .config import Config
+from .errors import OutputError
+from .export import FORMATS
+from .export.gltf import glb_bytes
+from .fitting import Run
+from .fitting.fit import REFRESH_EVERY
+from .fitting.schedules import resolution_at
+from .frame import Frame
+from .job import guess_for, open_asset, reference_for
+from .latent.model import Mesh, Model
+from .output import RunFolder
+from .preview import SHARE
+from .progress import Progress, ProgressCallback, silent
+from .report.evaluate import compare_assets
+from .report.html import report_page
+from .report.pictures import contact_sheet
+from .runtime import ensure_variant
+from .scenes.asset import Asset
+from .scenes.reference import Reference
+
+
+@dataclass
+class Forecast:
+    """
+    What is expected of a run.
+
+    Parameters
+    ----------
+    plan : dict of str to str
+        What would be done, by stage.
+    seconds : dict of str to float
+        Expected time of every stage.
+    memory : int or None
+        Expected peak of the process [bytes]; None where the system does not tell what it is now.
+    steps : int
+        How many steps of the fit were done to find out.
+    """
+
+    plan: dict[str, str]
+    seconds: dict[str, float] = field(default_factory=dict)
+    memory: int | None = None
+    steps: int = 0
+
+    def summary(self) -> str:
+        """
+        For a person, one line a stage.
+        """
+        parts = ", ".join(f"{name} {_words(seconds)}" for name, seconds in self.seconds.items())
+        rows = dict(self.plan) | {"time": f"about {_words(sum(self.seconds.values()))}: {parts}"}
+        if self.memory is not None:
+            rows["memory"] = f"about {self.memory / 1e9:.1f} GB at most"
+        rows["measured"] = (
+            f"on this machine as busy as it is now: the first guess, {self.steps} steps of the fit and one view of the "
+            "evaluation were done, the rest is reckoned from them; nothing was written"
+        )
+        return "\n".join(f"{name:12} {text}" for name, text in rows.items())
+
+
+def forecast(
+    config: Config,
+    out: str | Path,
+    progress: ProgressCallback = silent,
+    *,
+    overwrite: bool = False,
+    resume: bool = False,
+) -> Forecast:
+    """
+    Begin a job without writing anything, and reckon from it what all of it takes.
+
+    Parameters
+    ----------
+    config, out, progress, overwrite, resume
+        As of :func:`.job.run_job`; what is wrong with them is found out here, too.
+
+    Returns
+    -------
+    Forecast
+    """
+    if resume:
+        raise OutputError("--dry-run says what a whole run takes; leave out --resume")
+    folder = RunFolder(out, overwrite=overwrite)
+    config = config.model_copy(update={"variant": ensure_variant(config.variant)})
+    clock = _Clock()
+    progress(Progress("load", message=config.asset))
+    asset = open_asset(config.asset)
+    frame = Frame.around(asset.bounds)
+    target = frame.normalised(asset)
+    load = clock.lap()
+    progress(Progress("first guess"))
+    guess, notes = guess_for(target, config, frame)
+    result = Forecast(_plan(config, asset, guess, notes, folder.path))
+    reference = reference_for(target, config)
+    result.seconds |= {"load": load, "first guess": clock.lap()}
+    if config.optimizer.steps:
+        _try_fit(result, config, guess, reference, progress)
+    _try_rest(result, config, asset, frame.restored(guess), progress)
+    peak = _peak_memory()
+    result.memory = None if peak is None else peak + _to_come(config)
+    return result
+
+
+def _plan(config: Config, asset: Asset, guess: Model, notes: list[str], out: Path) -> dict[str, str]:
+    """What is known before any time is measured."""
+    charts, used = _charts(guess.mesh)
+    height, width = guess.base_color.shape[:2]
+    fit, seen = config.optimizer, config.evaluation
+    sizes = ", then ".join(f"{r}²" for r in fit.resolution)
+    return {
+        "asset": f"{config.asset}: {asset.n_triangles:,} triangles in {len(asset.instances)} part(s)",
+        "first guess": f"{guess.n_triangles:,} triangles" + "".join(f"; {note}" for note in notes),
+        "atlas": f"{width} × {height} texels, {charts} charts on {100 * used:.0f} % of it",
+        "fit": f"{fit.steps:,} steps of {fit.batch} views of {sizes} pixels with {fit.spp} samples, "
+        f"{config.reference.transport} light; {', '.join(config.latent.optimize)}",
+        "evaluation": f"{seen.views} views of {seen.resolution}² pixels with {seen.spp} samples",
+        "results": f"{out}: {', '.join(FORMATS[name] for name in config.export.formats)}, report.html, …",
+    }
+
+
+def _charts(mesh: Mesh) -> tuple[int, float]:
+    """Number of charts, and the share of the texture that they cover."""
+    corners, n = mesh.faces, len(mesh.uvs)
+    links = coo_matrix((np.ones(corners.size), (corners.ravel(), np.roll(corners, 1, axis=1).ravel())), (n, n))
+    _, label = connected_components(links, directed=False)
+    a, b, c = np.moveaxis(mesh.uvs[corners].astype(np.float64), 1, 0)
+    (ux, uy), (vx, vy) = (b - a).T, (c - a).T
+    return len(np.unique(label[corners])), float(np.abs(ux * vy - uy * vx).sum() / 2)
+
+
+def _try_fit(result: Forecast, config: Config, guess: Model, reference: Reference, progress: ProgressCallback) -> None:
+    """
+    Time the first steps at every resolution: a span of ``REFRESH_EVERY`` to warm up, in which kernels are compiled and
+    the pool is begun, and another, in which the pool is refreshed once as in all that follow.
+    """
+    n_steps, clock = config.optimizer.steps, _Clock()
+    counts = Counter(resolution_at(k / n_steps, config.optimizer.resolution) for k in range(n_steps))
+    n_trial = sum(min(2 * REFRESH_EVERY, n) for n in counts.values())
+    run = Run(guess, reference, config)
+    seconds, first = clock.lap(), 0
+    for n in counts.values():  # in the order of the run
+        for span in (range(REFRESH_EVERY), range(REFRESH_EVERY, 2 * REFRESH_EVERY)):
+            steps = [first + k for k in span if k < n]
+            for k in steps:
+                run.fit.step(k)
+            dr.sync_thread()
+            took = clock.lap()
+            seconds += took
+            result.steps += len(steps)
+            progress(Progress("trial", result.steps, n_trial))
+        seconds += took * max(0, n - 2 * REFRESH_EVERY) / REFRESH_EVERY
+        first += n
+    run.judge()
+    seconds += clock.lap() * math.ceil(n_steps / config.evaluation.every)
+    run.state()  # what a checkpoint takes, for the memory's sake
+    result.seconds["fit"] = seconds * (1 + SHARE)
+
+
+def _try_rest(result: Forecast, config: Config, asset: Asset, guess: Model, progress: ProgressCallback) -> None:
+    """Time an export, one view of the evaluation and its page; views cost alike, and so do candidates."""
+    progress(Progress("trial", message="evaluation"))
+    judged, clock, candidate = config.evaluation, _Clock(), guess.as_asset()
+    glb_bytes(guess)
+    result.seconds["export"] = clock.lap() * (1 + len(config.export.formats))  # and one is read back
+    n_images = judged.views * (3 + judged.baseline)
+
+    def judge() -> Any:
+        settings = {"n_views": 1, "resolution": judged.resolution, "spp": judged.spp, "seed": config.seed}
+        return compare_assets(asset, {"result": candidate}, **settings)
+
+    judge()
+    begin = clock.lap()  # with compiling
+    comparison = judge()
+    result.seconds["evaluate"] = begin + clock.lap() * max(0, n_images / 2 - 1)
+    if judged.baseline:
+        result.seconds["evaluate"] += result.seconds["first guess"]
+    contact_sheet(comparison.reference, comparison.candidates)
+    report_page(comparison, title=asset.name)
+    per_view = clock.lap() * (2 + judged.baseline)
+    report_page(comparison, title=asset.name, models={"reference": asset, "result": candidate})
+    result.seconds["report"] = clock.lap() + per_view * judged.views
+
+
+def _to_come(config: Config) -> int:
+    """Bytes of what grows after the trial: the pool with its copy in a checkpoint, and the images of the evaluation."""
+    channels = 7 if config.reference.transport == "matched" else 4
+    pool = config.reference.pool * channels * max(config.optimizer.resolution) ** 2 * np.float16().nbytes
+    judged = config.evaluation
+    views = judged.views * (3 + judged.baseline) * 4 * judged.resolution**2 * np.float32().nbytes
+    return max(2 * pool, 3 * views) if config.optimizer.steps else 3 * views
+
+
+def _peak_memory() -> int | None:
+    """Most memory that this process has had [bytes]."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+class _Clock:
+    """Seconds since it was looked at last."""
+
+    def __init__(self):
+        self._last = time.perf_counter()
+
+    def lap(self) -> float:
+        now = time.perf_counter()
+        self._last, passed = now, now - self._last
+        return passed
+
+
+def _words(seconds: float) -> str:
+    """4.1 s, 41 s, 3 min 05 s, 2 h 10 min."""
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.2g} s"
