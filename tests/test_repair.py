@@ -99,6 +99,15 @@ def test_parts_that_look_alike_are_not_put_onto_each_other():
     assert notes == [] and np.array_equal(q, p)
 
 
+def test_cards_that_stand_for_something_else_are_left_alone():
+    """Two quads through a ball: off the reference in every way, and meant to be."""
+    quad = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    p = np.concatenate([quad, quad[:, [2, 1, 0]], quad + [0, 0, 3]])
+    f = (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(3)[:, None, None]).reshape(-1, 3)
+    q, _, notes = repair(p, f, ClosestPoints(*sphere(3000)))
+    assert notes == [] and np.array_equal(q, p)
+
+
 def test_the_first_guess_repairs_only_where_it_is_asked_to():
     asset = sample_asset("relic:20k")
     soup, _ = clean(merge(asset))

@@ -50,6 +50,8 @@ def settle(positions: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -
     edges, _, counts = edge_pairs(faces)
     pinned = np.zeros(len(p), bool)
     pinned[edges[counts != 2].ravel()] = True
+    if pinned.all():
+        return p
     freedom = _SHARE * _freedom(p, faces, edges, points, normals)
     moved = p
     for step in range(_STEPS):

@@ -25,6 +25,10 @@ _GAIN = 0.5
 """The whole surface is moved only if its distance to the reference falls below this share."""
 _FIT = 0.4
 """Border vertices fit where they lie closer together than this share of the border's edges."""
+_BORDER = 0.5
+"""Share of a piece's border that must continue others'."""
+_MOST_PIECES = 200
+"""A mesh of more open parts than this is made of parts: foliage, hair, feathers."""
 
 
 def repair(
@@ -103,22 +107,27 @@ def _drawn_in(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints, rounds
     a, b = edge_pairs(faces)[0].T
     ring = csr_array((np.ones(2 * len(a)), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
     degree = ring @ np.ones(n)
-    drawn = np.zeros(n, bool)
+    drawn, border = np.zeros(n, bool), np.zeros(n, bool)
+    border[_open_edges(faces)] = True
     off = _off(p, faces, reference)
     for attempt in range(rounds):
         stray = np.zeros(n, bool)
         stray[faces[off]] = True
         if attempt % 2:  # one ring more leaves more room to unfold
             stray |= ring @ stray > 0
-        if not stray.any() or stray.all():
+        stray &= ~border
+        clusters, cluster = connected_components(ring[stray][:, stray], directed=False)
+        held = np.bincount(cluster, ring[stray] @ (~stray).astype(float), clusters) > 0
+        stray[np.flatnonzero(stray)[~held[cluster]]] = False  # a part that is off as a whole has nowhere to go
+        if not stray.any():
             break
+        clusters, cluster = connected_components(ring[stray][:, stray], directed=False)
+        of = np.full(n, clusters)
+        of[stray] = cluster
         inner = (diags_array(degree[stray] + 1e-9) - ring[stray][:, stray]).tocsc()
         trial = p.copy()
         trial[stray] = reference.query(spsolve(inner, ring[stray][:, ~stray] @ p[~stray]).reshape(-1, 3)).point
         # Every cluster of strays is a question of its own.
-        clusters, cluster = connected_components(ring[stray][:, stray], directed=False)
-        of = np.full(n, clusters)
-        of[stray] = cluster
         owner = of[faces].min(1)
         before, after = (np.bincount(owner, x, clusters + 1) for x in (off, _off(trial, faces, reference)))
         better = stray & (2 * after < before)[of]
@@ -129,48 +138,60 @@ def _drawn_in(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints, rounds
 
 
 def _reattach(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -> tuple[np.ndarray, np.ndarray, int]:
-    """Pieces moved to where their borders meet others', unless they are missed where they were, and welded there."""
+    """Pieces moved to where their borders continue others', unless missed where they were, and welded there."""
     n = len(p)
     index = np.arange(n)
     graph = coo_array((np.ones(2 * len(faces)), (faces[:, [0, 0]].ravel(), faces[:, 1:].ravel())), shape=(n, n))
     _, part = connected_components(graph, directed=False)
-    edges, _, counts = edge_pairs(faces)
-    rim = edges[counts == 1]
-    length = np.zeros(n)  # of the longest open edge at a vertex
-    np.maximum.at(length, rim.ravel(), np.repeat(np.linalg.norm(p[rim[:, 0]] - p[rim[:, 1]], axis=1), 2))
-    border = np.flatnonzero(length)
+    pieces, size = np.unique(part[faces[:, 0]], return_counts=True)
+    pieces = pieces[np.argsort(size, kind="stable")][:-1]  # the largest one stays
+    rim = _open_edges(faces)
+    pieces = pieces[np.isin(pieces, part[rim])]
+    if not 0 < len(pieces) <= _MOST_PIECES:
+        return p, index, 0
     points, _ = sample_surface(reference.corners, reference.double_area, 20_000, seed=1)
     gaps = ClosestPoints(p, faces, 50_000).query(points, candidates=4).distance
-    p, n_pieces, tried = p.copy(), 0, -1
+    n_pieces, tried = 0, -1
     while tried != n_pieces:  # a piece may fit where another one has come back
         tried = n_pieces
-        pieces, size = np.unique(part[faces[:, 0]], return_counts=True)
-        for piece in pieces[np.argsort(size, kind="stable")][:-1]:  # the largest one stays
-            own, others = border[part[border] == piece], border[part[border] != piece]
-            if not len(own) or not len(others):
-                continue
+        for piece in pieces:
             inside = part == piece
+            its = inside[rim[:, 0]]
+            if not its.any() or its.all():
+                continue
+            own, others = np.unique(rim[its]), np.unique(rim[~its])
+            length = float(np.median(np.linalg.norm(p[rim[its, 0]] - p[rim[its, 1]], axis=1)))
             shift, mine, theirs, gap = _fitting_shift(p[own], p[others])
-            close = gap < _FIT * length[own[mine]]
-            if close.sum() < 0.6 * len(own):
+            close = gap < _FIT * length
+            name = np.full(n, -1)
+            name[own[mine[close]]] = others[theirs[close]]
+            # Neighbours run along their edge in opposite directions; equal parts laid on each other do not.
+            back = name[rim[its]][:, ::-1]
+            if np.isin(back @ [n, 1], rim[~its] @ [n, 1])[(back >= 0).all(1)].sum() < _BORDER * its.sum():
                 continue
             trial = p.copy()
             trial[inside] += shift
             filled = ClosestPoints(trial, index[faces], 50_000).query(points, candidates=4).distance
-            hole = max(2 * np.median(gaps), 0.1 * np.median(length[own]))
+            hole = max(2 * np.median(gaps), 0.1 * length)
             if (filled > hole).sum() > (gaps > hole).sum():
                 continue  # it was right where it was: more of the reference is uncovered without it
             p, gaps = trial, filled
-            mine, theirs = own[mine[close]], others[theirs[close]]
-            p[theirs] = (p[theirs] + p[mine]) / 2
-            index[mine] = theirs
-            part[inside] = part[theirs[0]]
-            border = np.setdiff1d(border, mine)
+            moved = np.flatnonzero(name >= 0)
+            p[name[moved]] = (p[name[moved]] + p[moved]) / 2
+            index[moved] = name[moved]
+            index = index[index]
+            part[inside] = part[name[moved[0]]]
+            rim = _open_edges(index[faces])
             n_pieces += 1
-    while (index[index] != index).any():
-        index = index[index]
     kept, compact = np.unique(index, return_inverse=True)
     return p[kept], compact.reshape(-1), n_pieces
+
+
+def _open_edges(faces: np.ndarray) -> np.ndarray:
+    """Edges of one face, in its direction, shape (E, 2)."""
+    _, edge_of, counts = edge_pairs(faces)
+    k, f = np.nonzero(counts[edge_of] == 1)
+    return np.stack([faces[f, k], faces[f, (k + 1) % 3]], 1)
 
 
 def _fitting_shift(own: np.ndarray, others: np.ndarray):
