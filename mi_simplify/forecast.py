@@ -191,7 +191,7 @@ def _try_rest(result: Forecast, config: Config, asset: Asset, guess: Model, prog
     result.seconds["evaluate"] = begin + clock.lap() * max(0, n_images / 2 - 1)
     if judged.baseline:
         result.seconds["evaluate"] += result.seconds["first guess"]
-    contact_sheet(comparison.reference, comparison.candidates)
+    contact_sheet(comparison.reference, comparison.candidates, comparison.per_view)
     report_page(comparison, title=asset.name)
     per_view = clock.lap() * (2 + judged.baseline)
     report_page(comparison, title=asset.name, models={"reference": asset, "result": candidate})

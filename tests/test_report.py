@@ -83,10 +83,10 @@ def test_flip_pictures_are_dark_where_nothing_is_seen():
 
 
 def test_contact_sheet_holds_the_pictures(comparison):
-    columns = comparison_columns(comparison.reference, comparison.candidates)
+    columns = comparison_columns(comparison.reference, comparison.candidates, comparison.per_view)
     names = ["reference", "first guess", "result <1>", "difference", "coverage errors", "FLIP"]
     assert [c.name for c in columns] == names
-    sheet = np.asarray(contact_sheet(comparison.reference, comparison.candidates))
+    sheet = np.asarray(contact_sheet(comparison.reference, comparison.candidates, comparison.per_view))
     enlarged = shown(comparison.reference)[0].repeat(5, 0).repeat(5, 1)
     windows = np.lib.stride_tricks.sliding_window_view(sheet[:200, :220, 0], enlarged.shape[:2])
     assert (windows == enlarged[..., 0]).all((2, 3)).sum() == 1

@@ -59,6 +59,11 @@ class Comparison:
     candidates: dict[str, np.ndarray]
     figures: dict
 
+    @property
+    def per_view(self) -> dict[str, dict]:
+        """Of every candidate the figures of each view."""
+        return {name: self.figures["candidates"][name]["per_view"] for name in self.candidates}
+
 
 def compare_assets(
     reference: Asset,
@@ -193,7 +198,7 @@ def save_comparison(comparison: Comparison, out: str | Path) -> dict[str, Path]:
         The folder cannot be written.
     """
     out = make_folder(out)
-    sheet = contact_sheet(comparison.reference, comparison.candidates)
+    sheet = contact_sheet(comparison.reference, comparison.candidates, comparison.per_view)
     text = json.dumps(comparison.figures, indent=2, allow_nan=False) + "\n"
     images = {"reference": comparison.reference}
     images |= {f"candidate_{k}": x for k, x in enumerate(comparison.candidates.values())}

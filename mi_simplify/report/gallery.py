@@ -42,7 +42,7 @@ def pictures(comparison: Comparison) -> list[Column]:
     out = [Column("reference", shown(reference))]
     errors: list[Column] = []
     for name, images in comparison.candidates.items():
-        per_view, candidate = comparison.figures["candidates"][name]["per_view"], cut(images)
+        per_view, candidate = comparison.per_view[name], cut(images)
         out.append(Column(name, shown(candidate), _captions("{:.2f} dB", per_view["psnr"])))
         silhouette = [100 * x for x in per_view["silhouette_error"]]
         errors += [

@@ -14,7 +14,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..export.textures import to_8bit
-from .metrics import COVERED, compare, tonemap
+from .metrics import COVERED, tonemap
 
 RED, BLUE, GREY = np.float32([0.86, 0.15, 0.12]), np.float32([0.13, 0.35, 0.90]), np.float32([0.5, 0.5, 0.5])
 DIFFERENCE_GAIN = 4.0
@@ -97,7 +97,9 @@ class Column:
     captions: tuple[str, ...] = ()
 
 
-def comparison_columns(reference: np.ndarray, candidates: Mapping[str, np.ndarray]) -> list[Column]:
+def comparison_columns(
+    reference: np.ndarray, candidates: Mapping[str, np.ndarray], per_view: Mapping[str, Mapping]
+) -> list[Column]:
     """
     Reference, every candidate with its PSNR, then the last candidate's errors: difference, coverage, FLIP.
 
@@ -107,12 +109,13 @@ def comparison_columns(reference: np.ndarray, candidates: Mapping[str, np.ndarra
         Linear radiance and coverage.
     candidates : mapping of str to ndarray, shape (B, H, W, 4)
         At least one, by the name that heads the column: ``{"first guess": ..., "result": ...}``.
+    per_view : mapping of str to mapping
+        Of each candidate, what :func:`.metrics.compare` says under this key.
 
     Returns
     -------
     list of Column
     """
-    per_view = {name: compare(reference, images)["per_view"] for name, images in candidates.items()}
     columns = [Column("reference", shown(reference))]
     for name, images in candidates.items():
         columns.append(Column(name, shown(images), tuple(f"{p:.2f} dB" for p in per_view[name]["psnr"])))
@@ -126,11 +129,13 @@ def comparison_columns(reference: np.ndarray, candidates: Mapping[str, np.ndarra
     ]
 
 
-def contact_sheet(reference: np.ndarray, candidates: Mapping[str, np.ndarray]) -> Image.Image:
+def contact_sheet(
+    reference: np.ndarray, candidates: Mapping[str, np.ndarray], per_view: Mapping[str, Mapping]
+) -> Image.Image:
     """
     All views at a glance, one row each: the columns of :func:`comparison_columns` with a legend below.
     """
-    columns = comparison_columns(reference, candidates)
+    columns = comparison_columns(reference, candidates, per_view)
     return _grid(columns, _legend(list(candidates)[-1]))
 
 
