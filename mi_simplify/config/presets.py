@@ -19,7 +19,7 @@ STARTS: dict[str, dict[str, Any]] = {
         "initial": {"textures": "constant"},
         "optimizer": {
             "resolution": [64, 128, 256],
-            "rates": {"vertices": 0.2, "base_color": 0.02, "specular": 0.005, "normal": 0.01},
+            "rates": {"vertices": 0.2, "base_color": 0.1, "specular": 0.01, "normal": 0.02},
             "large_steps": {"lambda_": 19.0},
         },
         "loss": {"coverage": 10.0, "laplacian": {"weight": 0.0}},
