@@ -38,6 +38,12 @@ class OutputError(UserError):
     """
 
 
+class MemoryLimitError(UserError):
+    """
+    Something needs more memory than there is, or than ``--memory-limit`` leaves; it was not begun.
+    """
+
+
 class RuntimeUnavailable(UserError):
     """
     No usable LLVM, variant or optional package; the message names what to install.

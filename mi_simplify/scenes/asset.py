@@ -13,6 +13,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+#: Bytes that a placement takes.
+PER_INSTANCE = 800
+
+FEWER_INSTANCES = "place fewer, or simplify the part alone"
+
 
 @dataclass(frozen=True)
 class Material:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import memory
 from ..errors import AssetError
 from .resources import Resources, read_bytes
 
@@ -171,6 +172,7 @@ class GltfFile:
         if accessor.get("bufferView") is None:
             if count > 1 << 26:
                 raise AssetError(f"{self.name}: accessors[{index}] declares {count} elements without data")
+            memory.require(24 * count * n_columns, f"{self.name}: accessors[{index}]", "export the file with its data")
             out = np.zeros((count, n_columns), dtype)
         else:
             stride = self.item("bufferViews", accessor["bufferView"]).get("byteStride")

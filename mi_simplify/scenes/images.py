@@ -13,10 +13,20 @@ import warnings
 import numpy as np
 from PIL import Image
 
-from ..errors import AssetError
+from .. import memory
+from ..errors import AssetError, UserError
 
 #: Images with more pixels than this are refused before they are decoded.
 MAX_PIXELS = 16384**2
+
+#: What Pillow may take a file for. It knows more, among them some that it hands to other programs (EPS to Ghostscript).
+_FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "TGA", "BMP", "GIF", "DDS", "PSD", "JPEG2000", "AVIF")
+
+#: Bytes that a pixel takes as it is decoded and made linear: 4 x 8 bits as read, 4 x 32 bits with a copy.
+_BYTES_PER_PIXEL = 36
+
+#: Deflate makes nothing smaller than this share of it.
+_DEEPEST = 1032
 
 
 def decode_image(data: bytes, name: str, model: str) -> np.ndarray:
@@ -39,50 +49,70 @@ def decode_image(data: bytes, name: str, model: str) -> np.ndarray:
     ------
     AssetError
         The data is no image, is cut off, or declares more than ``MAX_PIXELS`` pixels.
+    MemoryLimitError
+        It declares more than memory holds.
     """
     try:
-        _check_header_size(data)
-        if data[:4] == b"\x76\x2f\x31\x01" or data[:2] == b"#?" or _is_deep_color_png(data):
+        deep = data[:4] == b"\x76\x2f\x31\x01" or data[:2] == b"#?" or _is_deep_color_png(data)
+        if deep:
+            _check_size(_header_size(data), 32, data, name, model)
             return _decode_with_mitsuba(data)
-        with _pixel_limit(), Image.open(io.BytesIO(data)) as image:
+        with warnings.catch_warnings(action="ignore"), _pixel_limit(), _opened(data) as image:
+            _check_size(image.size, 1, data, name, model)
             return _pixels_of(image)
-    except (Image.DecompressionBombWarning, Image.DecompressionBombError):
-        raise AssetError(f"{model}: texture '{name}' is larger than 16384 x 16384 pixels; scale it down") from None
-    except (OSError, SyntaxError, ValueError, RuntimeError, struct.error, EOFError, IndexError, OverflowError) as error:
+    except UserError:
+        raise
+    except Exception as error:  # decoders raise whatever they like, Pillow's asserts included
         reason = "it is no image that can be decoded" if isinstance(error, Image.UnidentifiedImageError) else error
-        raise AssetError(f"{model}: texture '{name}' cannot be read: {str(reason).splitlines()[0]}") from error
+        line = (str(reason).splitlines() or [type(error).__name__])[0]
+        raise AssetError(f"{model}: texture '{name}' cannot be read: {line[:200]}") from error
+
+
+def _opened(data: bytes) -> Image.Image:
+    known = set(Image.registered_extensions().values())  # builds of Pillow differ
+    return Image.open(io.BytesIO(data), formats=[f for f in _FORMATS if f in known])
 
 
 @contextlib.contextmanager
 def _pixel_limit():
-    """Make Pillow raise at ``MAX_PIXELS`` where it otherwise warns, and errs at twice as many."""
-    before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS
+    """Our own check of the size stands in for Pillow's, which warns."""
+    before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            yield
+        yield
     finally:
         Image.MAX_IMAGE_PIXELS = before
 
 
-def _check_header_size(data: bytes) -> None:
-    """Size check of the formats that do not go through Pillow."""
-    size = None
+def _header_size(data: bytes) -> tuple[int, int]:
+    """Width and height of the formats that do not go through Pillow."""
     if data[:4] == b"\x76\x2f\x31\x01":
         at = data.index(b"dataWindow\0box2i\0") + 21
         x0, y0, x1, y1 = struct.unpack_from("<4i", data, at)
-        size = x1 - x0 + 1, y1 - y0 + 1
-    elif data[:2] == b"#?":
-        found = re.search(rb"\n[-+][XY] (\d+) [-+][XY] (\d+)\n", data[:65536])
-        size = (int(found[1]), int(found[2])) if found else (0, 0)
-    elif _is_deep_color_png(data):
-        size = struct.unpack_from(">2I", data, 16)
-    if size is None:
-        return
+        return x1 - x0 + 1, y1 - y0 + 1
+    if data[:2] == b"#?":
+        found = re.search(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", data[:65536])
+        return (int(found[2]), int(found[1])) if found else (0, 0)
+    return struct.unpack_from(">2I", data, 16)
+
+
+def _check_size(size: tuple[int, int], least: int, data: bytes, name: str, model: str) -> None:
+    """
+    Refuse what its header declares, before anything of that size is allocated.
+
+    Parameters
+    ----------
+    least : int
+        Bits that a pixel of a PNG has at the least.
+    """
+    width, height = size
     if min(size) <= 0:
         raise ValueError("its header has no size")
-    if size[0] * size[1] > MAX_PIXELS:
-        raise Image.DecompressionBombError
+    if width * height > MAX_PIXELS:
+        raise AssetError(f"{model}: texture '{name}' is larger than 16384 x 16384 pixels; scale it down")
+    if data[:4] == b"\x89PNG" and height * (1 + width * least // 8) > _DEEPEST * len(data):
+        raise ValueError(f"it is cut off: {len(data)} bytes cannot hold {width} x {height} pixels")
+    what = f"{model}: texture '{name}' of {width} x {height} pixels"
+    memory.require(_BYTES_PER_PIXEL * width * height, what, "scale it down")
 
 
 def _is_deep_color_png(data: bytes) -> bool:
@@ -99,7 +129,12 @@ def _decode_with_mitsuba(data: bytes) -> np.ndarray:
     stream = mi.MemoryStream()
     stream.write(data)
     stream.seek(0)
-    pixels = np.array(mi.Bitmap(stream))
+    level = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)  # libpng's warnings would be printed
+    try:
+        pixels = np.array(mi.Bitmap(stream))
+    finally:
+        mi.set_log_level(level)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
     if pixels.dtype not in (np.uint8, np.uint16):

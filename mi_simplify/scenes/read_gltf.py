@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import memory
 from ..errors import AssetError, MeshError
-from .asset import Asset, Instance, Part
+from .asset import FEWER_INSTANCES, PER_INSTANCE, Asset, Instance, Part
 from .gltf_file import GltfFile
 from .gltf_material import read_material
 from .images import constant
@@ -90,7 +91,11 @@ class _Scene:
         counts = {len(c) for c in columns if c is not None}
         if len(counts) > 1:
             raise AssetError(f"{self.file.name}: the instance attributes of a node differ in number: {sorted(counts)}")
-        return _trs(*columns, counts.pop()) if counts else np.eye(4)[None]
+        if not counts:
+            return np.eye(4)[None]
+        n = counts.pop()
+        memory.require(PER_INSTANCE * n, f"{self.file.name}: a node of {n} instances", FEWER_INSTANCES)
+        return _trs(*columns, n)
 
     def _parts_of(self, mesh_index: int) -> list[int]:
         """Indices of the parts of a mesh, read at its first use."""

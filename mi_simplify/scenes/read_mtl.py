@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import AssetError
 from .asset import Material
 from .images import constant, is_normal_map, join_channels, opacity, rgb, srgb_to_linear, to_float, unit_normals
-from .resources import Resources, read_bytes
+from .resources import MissingFile, Resources, read_bytes, shown
 
 #: Arguments that each option of a texture statement takes at most; numbers only for ``-o -s -t``.
 _OPTIONS = {
@@ -38,17 +37,17 @@ def read_mtl(name: str, resources: Resources) -> dict[str, Material]:
     Raises
     ------
     AssetError
-        A texture is missing or cannot be read.
+        A texture is missing or cannot be read, or a file lies outside the model's folder.
     """
     paths = []
     try:
         paths = [resources.find(name, "material library")]
-    except AssetError:
+    except MissingFile:
         for part in name.split():
             try:
                 paths.append(resources.find(part, "material library"))
-            except AssetError:
-                resources.note(f"material library '{part}' does not exist; its materials are the default grey")
+            except MissingFile:
+                resources.note(f"material library '{shown(part)}' does not exist; its materials are the default grey")
     statements: dict[str, dict[str, str]] = {}
     for path in paths:
         current: dict[str, str] = {}

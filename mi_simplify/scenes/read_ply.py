@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import memory
 from ..errors import MeshError
 from .asset import Asset, Instance, Material, Part
 from .images import constant, join_channels, rgb, srgb_to_linear, to_float
@@ -57,6 +58,8 @@ def read_ply(path: Path) -> Asset:
         strips = " (it holds triangle strips; export triangles)" if "tristrips" in elements else ""
         raise MeshError(f"{path.name}: there are no faces in it{strips}; points alone cannot be rendered")
     counts, flat = indices
+    if not (np.abs(flat.astype(np.float64)) < 2.0**53).all():
+        raise MeshError(f"{path.name}: a face refers to a vertex by something that is no index; repair it")
     flat = flat.astype(np.int64)
     vertices = np.stack([vertex.columns[k] for k in "xyz"], axis=1).astype(np.float64)
     check_indices(flat, len(vertices), path.name, path.stem)
@@ -162,6 +165,7 @@ class _Element:
         return ends
 
     def _ragged_rows(self, body: np.ndarray, text: bool, model: str) -> np.ndarray:
+        memory.require(60 * len(body), f"{model}: a file whose rows differ in length", "export it as GLB")
         stop = len(body) + 1  # a sink for all rows that run over the end
         jump = np.full(stop + 1, stop)
         jump[: len(body)] = np.minimum(self._follow(body, np.arange(len(body)), text), stop)

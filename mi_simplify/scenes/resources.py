@@ -4,20 +4,39 @@ The files that a model names: found, read, and images decoded once each.
 
 from __future__ import annotations
 
+import os
 import urllib.parse
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
+from .. import memory
 from ..errors import AssetError
 from .images import decode_image
+
+#: Environment variable that names a folder, further up than the model's own, which a model's files may lie in.
+ROOT = "MI_SIMPLIFY_ASSET_ROOT"
+
+
+class MissingFile(AssetError):
+    """
+    A file that a model names does not exist.
+    """
 
 
 def read_bytes(path: Path, what: str) -> bytes:
     """
     A file's content; ``what`` names it in the message.
+
+    Raises
+    ------
+    AssetError
+        It cannot be read.
+    MemoryLimitError
+        It is larger than the memory that is left.
     """
     try:
+        memory.require(path.stat().st_size, f"{what} '{path.name}'", "reduce the file first")
         return path.read_bytes()
     except OSError as error:
         raise AssetError(f"{what} '{path}' cannot be read: {error.strerror or error}") from error
@@ -53,32 +72,48 @@ class Resources:
 
         Raises
         ------
-        AssetError
+        MissingFile
             There is no such file.
+        AssetError
+            There is, but outside the model's folder: a model from elsewhere could show anything of this machine.
         """
         folder = self.model.parent
-        path = folder / uri
-        if _is_file(path):
-            return path
         # Paths of the author's own machine, 'C:\work\x.png', are common in MTL files; the file itself lies beside it.
-        slashed = folder / uri.replace("\\", "/")
-        beside = folder / PureWindowsPath(uri).name
-        for candidate in (slashed, beside):
-            if _is_file(candidate):
-                if candidate == beside != slashed:
-                    self.note(f"{what} '{uri}' was taken from '{candidate.name}' beside the model")
-                return candidate
-        raise AssetError(f"{self.model.name}: {what} '{uri}' does not exist; put it into {folder}")
+        slashed, beside = uri.replace("\\", "/"), PureWindowsPath(uri).name
+        found = [folder / name for name in dict.fromkeys((uri, slashed, beside)) if _is_file(folder / name)]
+        for path in found:
+            if self.holds(path):
+                if path == folder / beside and beside != slashed:
+                    self.note(f"{what} '{shown(uri)}' was taken from '{path.name}' beside the model")
+                return path
+        if found:
+            raise self.outside(uri, what)
+        raise MissingFile(f"{self.model.name}: {what} '{shown(uri)}' does not exist; put it into {folder}")
+
+    def holds(self, path: Path) -> bool:
+        """
+        Whether a file lies in the model's folder, links followed, or in the folder that the environment names.
+        """
+        root = Path(os.environ.get(ROOT) or self.model.parent).resolve()
+        return path.resolve().is_relative_to(root)
+
+    def outside(self, uri: str, what: str) -> AssetError:
+        """
+        The error for a file that lies outside the model's folder.
+        """
+        return AssetError(
+            f"{self.model.name}: {what} '{shown(uri)}' lies outside the model's folder and is not read; put a copy "
+            f"beside the model, or let the environment variable {ROOT} name a folder that holds both"
+        )
 
     def find_url(self, uri: str, what: str) -> Path:
         """
         As :meth:`find` for a percent-encoded relative reference (glTF).
         """
         if len(uri.partition(":")[0]) > 1 and "://" in uri:
-            raise AssetError(f"{self.model.name}: {what} '{uri[:80]}' is not a file; download it beside the model")
-        if _is_file(self.model.parent / uri):
-            return self.model.parent / uri
-        return self.find(urllib.parse.unquote(uri), what)
+            raise AssetError(f"{self.model.name}: {what} '{shown(uri)}' is not a file; download it beside the model")
+        plain = self.model.parent / uri
+        return plain if _is_file(plain) and self.holds(plain) else self.find(urllib.parse.unquote(uri), what)
 
     def image(self, uri: str) -> np.ndarray:
         """
@@ -101,6 +136,14 @@ class Resources:
         """
         if line not in self.notes:
             self.notes.append(line)
+
+
+def shown(text: str) -> str:
+    """
+    A name from a file as a message shows it: of one line and not too long.
+    """
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    return text if len(text) <= 120 else f"{text[:100]}… ({len(text)} characters)"
 
 
 def _is_file(path: Path) -> bool:

@@ -8,12 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from .. import memory
 from ..errors import MeshError
-from .asset import Asset, Part
+from .asset import FEWER_INSTANCES, Asset, Part
 from .polygons import smooth_normals
 
 #: Coordinates beyond this overflow when squared in float32.
 MAX_COORDINATE = 1e15
+
+#: Bytes that a placed triangle takes until the mesh is clean.
+PER_TRIANGLE = 700
 
 
 def check_indices(index: np.ndarray, n: int, model: str, part: str, what: str = "vertex", first: int = 0) -> None:
@@ -45,11 +49,15 @@ def check_asset(asset: Asset, model: str) -> Asset:
     ------
     MeshError
         No faces, NaN or infinite positions, indices out of range, no area at all, a transform that is not finite.
+    MemoryLimitError
+        All instances together do not fit into memory.
     """
     for part in asset.parts:
         _check_part(part, model)
     if not asset.instances or not asset.n_triangles:
         raise MeshError(f"{model}: there are no faces in it; points and lines cannot be rendered")
+    shown = f"{asset.n_triangles:,} triangles in {len(asset.instances):,} instances"
+    memory.require(PER_TRIANGLE * asset.n_triangles, f"{model}: a model of {shown}", FEWER_INSTANCES)
     area = 0.0
     for instance in asset.instances:
         to_world = instance.to_world
@@ -86,6 +94,7 @@ def _area(part: Part, to_world: np.ndarray) -> float:
 def _mend_part(part: Part, notes: list[str]) -> Part:
     normals, uvs, colors = part.normals, part.uvs, part.colors
     if normals is not None:
+        normals = np.asarray(normals, np.float64)  # lengths that overflow in float32
         length = np.linalg.norm(normals, axis=1)
         bad = ~(np.isfinite(length) & (length > 1e-12))
         normals = normals / np.where(bad, 1.0, length)[:, None]
