@@ -9,6 +9,7 @@ from mi_simplify.initial.guess import alpha_of, first_guess, mean_material, quad
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.latent.model import Model
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
+from mi_simplify.scenes.read_mitsuba import SceneAsset
 
 SMALL = dict(atlas_size=64, padding=2)
 
@@ -96,6 +97,15 @@ def test_the_mean_material_counts_area_and_texels():
                   for s, c in ((3, 1.0), (1, 0.0)))  # fmt: skip
     base, specular = mean_material(Asset((big, small), (Instance(0), Instance(1))))
     assert np.allclose(base, [0.9, 0.5, 0, 1]) and np.allclose(specular, [0, 0.5, 0])
+
+
+def test_what_has_no_triangles_can_still_start_from_a_sphere():
+    """A shape of a Mitsuba scene that is known by its box alone."""
+    asset = pear()
+    scene = SceneAsset(asset.parts, asset.instances, name="scene", without_triangles=("sdfgrid",))
+    model, _ = first_guess(scene, kind="sphere", triangles=100, textures="constant", **SMALL)
+    base, _ = mean_material(asset)
+    assert model.n_triangles == 100 and (model.base_color == base).all()
 
 
 def test_budgets_are_refused_in_one_line_with_both_counts():

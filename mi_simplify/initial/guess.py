@@ -208,8 +208,9 @@ def mean_material(asset: Asset) -> tuple[np.ndarray, np.ndarray]:
     Mean base colour and opacity (4,) and mean (gamma, roughness, metallic) (3,) of an asset's textures, by area.
     """
     total, base, specular = 1e-30, np.zeros(4), np.zeros(3)
-    for part in asset.placed():
-        c = part.vertices[part.faces]
+    for instance in asset.instances:
+        part = asset.parts[instance.part]
+        c = (part.vertices @ instance.to_world[:3, :3].T)[part.faces]
         area = np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum()
         tint = 1.0 if part.colors is None else part.colors.mean(0, dtype=np.float64)
         base += area * part.material.base_color.mean((0, 1), dtype=np.float64) * tint
