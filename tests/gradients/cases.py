@@ -55,7 +55,7 @@ class Case:
             self._measure_rival(renderer, pairs, adjoint)
         return pairs
 
-    def _measure_rival(self, renderer: Plugin, pairs: list[Pair], adjoint: np.ndarray, rounds: int = 3) -> None:
+    def _measure_rival(self, renderer: Plugin, pairs: list[Pair], adjoint: np.ndarray, rounds: int = 2) -> None:
         colour = adjoint * np.float32([1, 1, 1, 0])  # it has no derivative of alpha
         integrator = direct_projective(64, 64)
         for pair in pairs:

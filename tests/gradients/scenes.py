@@ -254,7 +254,7 @@ _BUILD: dict[str, Callable[[], Scene]] = {
         _camera((0.3, 0.2, -3), (2.2, 1, 1.9), fov=20),
         (32, 80),
         waves=40,
-        effort=4,
+        effort=2,
         step=0.05,
     ),
     "two objects": lambda: Scene(

@@ -29,7 +29,7 @@ _SLICES = {
 
 @pytest.mark.parametrize("name", _SLICES)
 def test_slice(name):
-    pairs = Case(name, name, Batched, _SLICES[name]).measure(gradient_spp=32, target=0.005, rounds=(8, 16))
+    pairs = Case(name, name, Batched, _SLICES[name]).measure(spp=256, gradient_spp=32, rounds=(8, 16))
     assert len(pairs) == len(_SLICES[name])
     assert not [str(p) for p in pairs if not p.passes]
 
@@ -98,7 +98,7 @@ def test_back_faces_in_view(where):
     renderer = Batched(scene)
     wanted = [p for p in parameters(scene, renderer.start) if p.name in ("translation x", "rotation", "scale")]
     adjoint = film_weights(scene, renderer.shape[0])
-    pairs = compare(renderer, where, wanted, adjoint, spp=256, gradient_spp=16, target=0.006, rounds=(8, 16))
+    pairs = compare(renderer, where, wanted, adjoint, spp=256, gradient_spp=16, rounds=(8, 16))
     assert not [str(p) for p in pairs if p.noise < 0.01 and not p.passes]
     assert any(p.noise < 0.01 for p in pairs)
 
