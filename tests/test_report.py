@@ -289,6 +289,18 @@ def test_a_report_is_built_from_a_folder_alone(judged):
     assert report_folder(judged).read_text(encoding="utf-8") == text
 
 
+def test_candidates_are_called_by_what_tells_their_files_apart(comparison, tmp_path):
+    a, b = (f"/deep/folder/{k}/model.glb" for k in "ab")
+    for names, expected in (((a, b), ["a/model.glb", "b/model.glb"]), ((a,), ["model.glb"])):
+        rows = dict(zip(names, comparison.figures["candidates"].values(), strict=False))
+        images = dict(zip(names, comparison.candidates.values(), strict=False))
+        save_comparison(Comparison(comparison.reference, images, comparison.figures | {"candidates": rows}), tmp_path)
+        text = report_folder(tmp_path).read_text(encoding="utf-8")
+        (data,) = re.findall(r'id="report-data">(.*?)</script>', text)
+        assert list(json.loads(data)["candidates"]) == expected
+        assert "/deep/folder" not in text
+
+
 def test_a_line_that_was_cut_off_is_left_out_of_the_curves(judged, caplog):
     (judged / "log.jsonl").write_text('{"step": 1, "loss": 1.0}\n{"step": 11, "loss": 0.5}\n{"step": 2')
     assert "curves" in Page(report_folder(judged).read_text(encoding="utf-8")).sections

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from ..scenes.asset import Asset
 from ..scenes.load import load_asset
 from ..scenes.read_mitsuba import SceneAsset
 from ..scenes.samples import sample_asset
-from .evaluate import load_comparison
+from .evaluate import Comparison, load_comparison
 from .html import write_report
 from .viewer import MOST_TRIANGLES
 
@@ -51,21 +52,34 @@ def report_folder(folder: str | Path, assets: Mapping[str, Asset] | None = None)
     """
     folder = Path(folder)
     comparison = load_comparison(folder)
-    figures = comparison.figures
+    figures, labels = comparison.figures, _labels(list(comparison.candidates))
     models = _models(figures, folder, assets or {})
     missing = [name for name in figures["candidates"] if name not in models and figures["candidates"][name].get("file")]
     if missing:
         log.warning("not shown in 3D, as too large or too many, or because the file is gone: %s", ", ".join(missing))
     return write_report(
         folder / "report.html",
-        comparison,
+        Comparison(
+            comparison.reference,
+            {labels[name]: images for name, images in comparison.candidates.items()},
+            figures | {"candidates": {labels[name]: row for name, row in figures["candidates"].items()}},
+        ),
         title=figures["reference"]["name"],
-        models=models,
+        models={labels.get(name, name): asset for name, asset in models.items()},
         settings=_text(folder / "config.yaml"),
         log=_log(folder / "log.jsonl"),
         files=sorted(path for path in folder.iterdir() if path.name.startswith("model")),
         notes=figures.get("run", {}).get("notes", ()),
     )
+
+
+def _labels(names: list[str]) -> dict[str, str]:
+    """Candidates are named by their files: what tells these apart, without the folders that they have in common."""
+    if not all(Path(name).suffix for name in names):
+        return {name: name for name in names}
+    places = [Path(name).absolute() for name in names]
+    common = os.path.commonpath([place.parent for place in places])
+    return {name: place.relative_to(common).as_posix() for name, place in zip(names, places, strict=True)}
 
 
 def _models(figures: dict, folder: Path, assets: Mapping[str, Asset]) -> dict[str, Asset]:
