@@ -117,7 +117,7 @@ def test_the_first_guess_repairs_only_where_it_is_asked_to():
     kept, notes = first_guess(asset, kind="mesh", init=low, atlas_size=128, textures="constant")
     assert len(kept.mesh.positions) == len(bad) and not any("put back" in n for n in notes)
     assert np.isin(kept.mesh.positions, bad).all()
-    model, notes = first_guess(asset, kind="mesh", init=low, atlas_size=256, repair=True)
+    model, notes = first_guess(asset, kind="mesh", init=low, atlas_size=128, repair=True)
     assert any("surface moved to the reference" in n for n in notes)
     reference = ClosestPoints(soup.positions, soup.position_faces)
     mended = distances(reference, model.mesh.positions, model.mesh.position_faces)

@@ -59,16 +59,16 @@ def keep_mesh(
         ``keep_uv``, and the UVs overlap, are missing, or have no area.
     """
     soup, notes = clean(merge(init))
-    if reference is not None:
-        positions, index, more = repair(soup.positions, soup.position_faces, reference)
-        soup = replace(soup, positions=positions, position_index=index[soup.position_index])
-        notes += more
     why = _unusable(init, soup)
     if why and keep_uv:
         raise MeshError(
             f"the texture coordinates of {init.name} cannot be kept: {why}; lay them out without overlap, or let the "
             "mesh be unwrapped anew (without --keep-uv)"
         )
+    if reference is not None:
+        positions, index, more = repair(soup.positions, soup.position_faces, reference)
+        soup = replace(soup, positions=positions, position_index=index[soup.position_index])
+        notes += more
     if why:
         notes.append(f"new texture coordinates: {why}")
         mesh, more = unwrap(

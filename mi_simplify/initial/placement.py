@@ -55,7 +55,7 @@ def settle(positions: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -
     freedom = _SHARE * _freedom(p, faces, edges, points, normals)
     moved = p
     for step in range(_STEPS):
-        low = ClosestPoints(moved, faces, n_samples=2 * _SAMPLES, seed=step)
+        low = ClosestPoints(moved, faces, n_samples=min(2 * _SAMPLES, 50 * len(faces)), seed=step)
         pulls = _pulls(low, faces, reference, points, normals, step)
         displacement = _solve(pulls, len(p), edges, pinned)
         moved = _without_folds(moved, displacement, faces)
@@ -72,7 +72,7 @@ def _spread(surface: ClosestPoints, n: int, seed: int) -> tuple[np.ndarray, np.n
 
 def _freedom(p, faces, edges, points, normals) -> np.ndarray:
     """0 where the mesh is exact already (a box of planes), 1 where it is not, shape (P,)."""
-    low = ClosestPoints(p, faces, n_samples=2 * _SAMPLES)
+    low = ClosestPoints(p, faces, n_samples=min(2 * _SAMPLES, 50 * len(faces)))
     hit = low.query(points, normals, candidates=4)
     alike = np.einsum("ni,ni->n", low.normals[hit.face], normals) > 0
     square = alike * np.einsum("ni,ni->n", points - hit.point, normals) ** 2

@@ -150,7 +150,8 @@ def _reattach(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -> tup
     if not 0 < len(pieces) <= _MOST_PIECES:
         return p, index, 0
     points, _ = sample_surface(reference.corners, reference.double_area, 20_000, seed=1)
-    gaps = ClosestPoints(p, faces, 50_000).query(points, candidates=4).distance
+    n_samples = min(50_000, 50 * len(faces))
+    gaps = ClosestPoints(p, faces, n_samples).query(points, candidates=4).distance
     n_pieces, tried = 0, -1
     while tried != n_pieces:  # a piece may fit where another one has come back
         tried = n_pieces
@@ -171,7 +172,7 @@ def _reattach(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -> tup
                 continue
             trial = p.copy()
             trial[inside] += shift
-            filled = ClosestPoints(trial, index[faces], 50_000).query(points, candidates=4).distance
+            filled = ClosestPoints(trial, index[faces], n_samples).query(points, candidates=4).distance
             hole = max(2 * np.median(gaps), 0.1 * length)
             if (filled > hole).sum() > (gaps > hole).sum():
                 continue  # it was right where it was: more of the reference is uncovered without it
