@@ -19,6 +19,7 @@ from scipy.sparse.csgraph import connected_components
 
 from .config import Config
 from .errors import OutputError
+from .events import require_tensorboard
 from .export import FORMATS
 from .export.gltf import glb_bytes
 from .fitting import Run
@@ -98,6 +99,8 @@ def forecast(
     if resume:
         raise OutputError("--dry-run says what a whole run takes; leave out --resume")
     folder = RunFolder(out, overwrite=overwrite)
+    if config.export.tensorboard:
+        require_tensorboard()
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
     clock = _Clock()
     progress(Progress("load", message=config.asset))

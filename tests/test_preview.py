@@ -5,9 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from PIL import Image
+from test_fit import textured_sphere
 
 from mi_simplify import preview
+from mi_simplify.config import load_config
+from mi_simplify.fitting import Run
 from mi_simplify.preview import SHARE, Preview
+from mi_simplify.scenes.reference import make_reference
 
 
 class Clock:
@@ -68,3 +72,19 @@ def test_a_folder_that_cannot_be_written_is_told_once(tmp_path, clock, caplog):
         clock.now += 5
         show(run)
     assert caplog.text.count("no preview: cannot write") == 1
+
+
+def test_a_real_fit_is_seen_and_not_disturbed(tmp_path):
+    target = textured_sphere()
+    settings = ["optimizer.resolution=48", "optimizer.batch=2", "evaluation.views=2", "reference.spp=16"]
+    config = load_config(overrides=["asset=sample:relic", "optimizer.steps=2", *settings])
+    run = Run(target, make_reference(target.as_asset(), transport="direct", spp=64), config)
+    run.step()
+    before = run.fit.parameters()
+    picture = Preview(tmp_path / "preview.png", interval=0.0)(run).astype(float) / 255
+    for name, value in run.fit.parameters().items():
+        np.testing.assert_array_equal(value, before[name])
+    assert picture.shape == (48, 96, 3)
+    reference, current = picture[:, :48], picture[:, 48:]
+    assert reference.std() > 0.1
+    assert -10 * np.log10(((reference - current) ** 2).mean()) > 25

@@ -208,8 +208,8 @@ def _views_hint(figures: Mapping) -> str:
     s = figures["settings"]
     return (
         f"Path traced at {s['spp']} samples per pixel under a point light and a dim sky that the fit has not seen. "
-        f"Difference × {DIFFERENCE_GAIN:g}:{red} too bright,{blue} too dim. "
-        f"Coverage:{red} covered only by the candidate,{blue} only by the reference."
+        f"Difference × {DIFFERENCE_GAIN:g}: <span>{red} too bright</span>, <span>{blue} too dim</span>. "
+        f"Coverage: <span>{red} only the candidate’s</span>, <span>{blue} only the reference’s</span>."
     )
 
 
@@ -231,7 +231,7 @@ def _curves(log: Sequence[Mapping]) -> str:
     charts = []
     for key, heading, label, is_log in (
         ("loss", "Loss", "loss", True),
-        ("psnr", "PSNR on a held-out view", "PSNR [dB]", False),
+        ("psnr", "PSNR on held-out views", "PSNR [dB]", False),
     ):
         points = [(r["step"], r[key]) for r in log if r.get(key) is not None]
         svg = (
