@@ -53,7 +53,7 @@ def describe(error: ValidationError) -> str:
     """
     lines = []
     for problem in error.errors():
-        location = tuple(str(part) for part in problem["loc"])
+        location = tuple(_cut(str(part)) for part in problem["loc"])
         path = ".".join(location) or "configuration"
         kind, given = problem["type"], problem["input"]
         if kind == "extra_forbidden":
@@ -61,7 +61,7 @@ def describe(error: ValidationError) -> str:
         elif kind == "missing":
             lines.append(f"{path}: missing, it has no default")
         elif kind in ("model_type", "model_attributes_type"):
-            lines.append(f"{path}: is a section, expected keys below it, got {given!r}")
+            lines.append(f"{path}: is a section, expected keys below it, got {_shown(given)}")
         elif kind == "value_error":
             lines.append(f"{path}: {problem['ctx']['error']}")
         else:
@@ -72,5 +72,8 @@ def describe(error: ValidationError) -> str:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    return _cut(repr(value))
+
+
+def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "..."

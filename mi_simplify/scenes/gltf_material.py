@@ -64,7 +64,7 @@ class _MaterialReader:
         pixels = self._texture(info, "normal map")
         normal = None
         if pixels is not None:
-            normal = unit_normals(to_float(rgb(pixels), srgb=False) * 2 - 1, float(info.get("scale", 1)))
+            normal = unit_normals(to_float(rgb(pixels), srgb=False) * 2 - 1, float(self._numbers(info, "scale", 1)[0]))
         for extension, meaning in _LEFT_OUT.items():
             if extension in extensions:
                 self._note(f"{meaning} of material '{self.name}' was left out")
@@ -76,7 +76,7 @@ class _MaterialReader:
             specular=np.clip(specular, 0, 1),
             normal=normal,
             alpha_mode=self._alpha_mode(),
-            alpha_cutoff=float(source.get("alphaCutoff", 0.5)),
+            alpha_cutoff=float(self._numbers(source, "alphaCutoff", 0.5)[0]),
         )
 
     def _alpha_mode(self) -> str:
@@ -87,8 +87,8 @@ class _MaterialReader:
 
     def _metallic_roughness(self, pbr: dict) -> tuple[np.ndarray, np.ndarray]:
         """Base colour and opacity, and (roughness, metallic), each shape (H, W, C)."""
-        base = self._color(pbr.get("baseColorTexture"), pbr.get("baseColorFactor", [1, 1, 1, 1]), "base colour")
-        factor = np.float32([pbr.get("roughnessFactor", 1), pbr.get("metallicFactor", 1)])
+        base = self._color(pbr.get("baseColorTexture"), self._numbers(pbr, "baseColorFactor", [1] * 4), "base colour")
+        factor = np.concatenate([self._numbers(pbr, "roughnessFactor", 1), self._numbers(pbr, "metallicFactor", 1)])
         pixels = self._texture(pbr.get("metallicRoughnessTexture"), "metallic-roughness texture")
         if pixels is None:
             return base, factor.reshape(1, 1, 2)
@@ -97,16 +97,23 @@ class _MaterialReader:
     def _specular_glossiness(self, pbr: dict) -> tuple[np.ndarray, np.ndarray]:
         """The retired workflow: its specular colour has no place here, its glossiness has."""
         self._note(f"specular colour of material '{self.name}' (KHR_materials_pbrSpecularGlossiness) was left out")
-        base = self._color(pbr.get("diffuseTexture"), pbr.get("diffuseFactor", [1, 1, 1, 1]), "diffuse texture")
-        glossiness = constant(float(pbr.get("glossinessFactor", 1)))
+        base = self._color(pbr.get("diffuseTexture"), self._numbers(pbr, "diffuseFactor", [1] * 4), "diffuse texture")
+        glossiness = constant(*self._numbers(pbr, "glossinessFactor", 1))
         pixels = self._texture(pbr.get("specularGlossinessTexture"), "specular-glossiness texture")
         if pixels is not None and opacity(pixels) is not None:
             glossiness = glossiness * to_float(opacity(pixels), srgb=False)
         return base, join_channels(1 - glossiness, constant(0))
 
-    def _color(self, info: dict | None, factor: list, what: str) -> np.ndarray:
+    def _numbers(self, source: dict, key: str, default: object) -> np.ndarray:
+        """Finite numbers of a material, shape (N,), within what textures and float32 can hold."""
+        values = np.atleast_1d(np.asarray(source.get(key, default), np.float64))
+        if not np.isfinite(values).all():
+            raise AssetError(f"{self.file.name}: {key} of material '{self.name}' is not finite; export the file again")
+        return np.clip(values, -65504, 65504).astype(np.float32)
+
+    def _color(self, info: dict | None, factor: np.ndarray, what: str) -> np.ndarray:
         """Linear colour and opacity, shape (H, W, 4)."""
-        factor = np.float32(factor).reshape(1, 1, 4)
+        factor = factor.reshape(1, 1, 4)
         pixels = self._texture(info, what)
         if pixels is None:
             return factor
@@ -120,11 +127,11 @@ class _MaterialReader:
 
         ``specularFactor`` scales F90 as well, for which there is no parameter; it is folded in.
         """
-        strength = constant(float(specular.get("specularFactor", 1)))
+        strength = constant(*self._numbers(specular, "specularFactor", 1))
         pixels = self._texture(specular.get("specularTexture"), "specular texture")
         if pixels is not None and opacity(pixels) is not None:
             strength = strength * to_float(opacity(pixels), srgb=False)
-        color = np.float32(specular.get("specularColorFactor", [1, 1, 1])).reshape(1, 1, 3)
+        color = self._numbers(specular, "specularColorFactor", [1] * 3).reshape(1, 1, 3)
         if color.max() > 1:
             self._note(f"specularColorFactor of material '{self.name}' is above 1 and was taken as 1")
         pixels = self._texture(specular.get("specularColorTexture"), "specular colour texture")

@@ -9,6 +9,7 @@ import io
 import re
 import struct
 import warnings
+from collections.abc import Iterator
 
 import numpy as np
 from PIL import Image
@@ -20,7 +21,7 @@ from ..errors import AssetError, UserError
 MAX_PIXELS = 16384**2
 
 #: What Pillow may take a file for. It knows more, among them some that it hands to other programs (EPS to Ghostscript).
-_FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "TGA", "BMP", "GIF", "DDS", "PSD", "JPEG2000", "AVIF")
+_FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "TGA", "BMP", "GIF", "DDS", "PPM", "PSD", "JPEG2000", "AVIF")
 
 #: Bytes that a pixel takes as it is decoded and made linear: 4 x 8 bits as read, 4 x 32 bits with a copy.
 _BYTES_PER_PIXEL = 36
@@ -52,35 +53,54 @@ def decode_image(data: bytes, name: str, model: str) -> np.ndarray:
     MemoryLimitError
         It declares more than memory holds.
     """
-    try:
-        deep = data[:4] == b"\x76\x2f\x31\x01" or data[:2] == b"#?" or _is_deep_color_png(data)
-        if deep:
-            _check_size(_header_size(data), 32, data, name, model)
+    check_image(data, name, model)
+    with _told(name, model):
+        if _is_for_mitsuba(data):
             return _decode_with_mitsuba(data)
-        with warnings.catch_warnings(action="ignore"), _pixel_limit(), _opened(data) as image:
-            _check_size(image.size, 1, data, name, model)
+        with _opened(data) as image:
             return _pixels_of(image)
-    except UserError:
+
+
+def check_image(data: bytes, name: str, model: str) -> None:
+    """
+    Check the size that an image declares, from its header alone; parameters and errors as of :func:`decode_image`.
+    """
+    with _told(name, model):
+        if _is_for_mitsuba(data):
+            _check_size(_header_size(data), 32, data, name, model)
+        else:
+            with _opened(data) as image:
+                _check_size(image.size, 1, data, name, model)
+
+
+@contextlib.contextmanager
+def _told(name: str, model: str) -> Iterator[None]:
+    """One line for what decoders raise, which is whatever they like, Pillow's asserts included."""
+    try:
+        yield
+    except (UserError, MemoryError):
         raise
-    except Exception as error:  # decoders raise whatever they like, Pillow's asserts included
+    except Exception as error:
         reason = "it is no image that can be decoded" if isinstance(error, Image.UnidentifiedImageError) else error
         line = (str(reason).splitlines() or [type(error).__name__])[0]
         raise AssetError(f"{model}: texture '{name}' cannot be read: {line[:200]}") from error
 
 
-def _opened(data: bytes) -> Image.Image:
-    known = set(Image.registered_extensions().values())  # builds of Pillow differ
-    return Image.open(io.BytesIO(data), formats=[f for f in _FORMATS if f in known])
-
-
 @contextlib.contextmanager
-def _pixel_limit():
-    """Our own check of the size stands in for Pillow's, which warns."""
+def _opened(data: bytes) -> Iterator[Image.Image]:
+    """An image of Pillow, whose own limit of pixels warns and ours stands in for."""
+    known = set(Image.registered_extensions().values())  # builds of Pillow differ
     before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
-        yield
+        with warnings.catch_warnings(action="ignore"):
+            yield Image.open(io.BytesIO(data), formats=[f for f in _FORMATS if f in known])
     finally:
         Image.MAX_IMAGE_PIXELS = before
+
+
+def _is_for_mitsuba(data: bytes) -> bool:
+    """OpenEXR, Radiance, and what Pillow would cut to 8 bits."""
+    return data[:4] == b"\x76\x2f\x31\x01" or data[:2] == b"#?" or _is_deep_color_png(data)
 
 
 def _header_size(data: bytes) -> tuple[int, int]:
@@ -137,9 +157,12 @@ def _decode_with_mitsuba(data: bytes) -> np.ndarray:
         mi.set_log_level(level)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
-    if pixels.dtype not in (np.uint8, np.uint16):
-        pixels = pixels.astype(np.float32)
-    return pixels[..., :4]
+    return _bounded(pixels[..., :4]) if pixels.dtype not in (np.uint8, np.uint16) else pixels[..., :4]
+
+
+def _bounded(pixels: np.ndarray) -> np.ndarray:
+    """Finite float32 values, as half precision could hold them; colours that a material multiplies and squares."""
+    return np.clip(np.nan_to_num(pixels), -65504, 65504).astype(np.float32)
 
 
 def _pixels_of(image: Image.Image) -> np.ndarray:
@@ -148,7 +171,7 @@ def _pixels_of(image: Image.Image) -> np.ndarray:
     if image.mode == "I":
         return np.clip(np.asarray(image), 0, 65535).astype(np.uint16)[..., None]
     if image.mode == "F":
-        return np.asarray(image, np.float32)[..., None]
+        return _bounded(np.asarray(image)[..., None])
     if image.mode in ("P", "PA") or "transparency" in image.info:
         image = image.convert("RGBA" if image.mode == "PA" or "transparency" in image.info else "RGB")
     elif image.mode not in ("L", "LA", "RGB", "RGBA"):

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from ..errors import AssetError, UserError
+from ..errors import AssetError, MemoryLimitError, UserError
 from ..runtime import ensure_variant
 from .asset import Asset
+from .resources import shown
 from .validate import check_asset
 
 _READERS = {
@@ -47,6 +48,8 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
         No such file, an unknown format, or something in it cannot be read or is missing.
     MeshError
         No faces, NaN positions, indices out of range, no area.
+    MemoryLimitError
+        It does not fit into memory, or says that it would not.
     """
     path = Path(path)
     if not path.exists():
@@ -62,18 +65,23 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
     try:
         asset = _reader(suffix)(path)
         asset = check_asset(asset, path.name)
-    except UserError:
-        raise
+    except UserError as error:
+        line = shown(str(error), 600)  # names in a file may hold anything
+        if line == str(error):
+            raise
+        raise type(error)(line) from error
+    except MemoryError as error:
+        raise MemoryLimitError(f"{path.name}: it needs more memory than there is; simplify the file first") from error
     except _MALFORMED as error:
-        what = f"{type(error).__name__}: {error}".splitlines()[0]
+        what = shown(f"{type(error).__name__}: {error}".splitlines()[0], 200)
         raise AssetError(f"{path.name}: the file is malformed and cannot be read ({what}); export it again") from error
     return replace(asset, name=path.stem, source=str(path))
 
 
 #: What readers run into when a file's parts do not fit together. Other exceptions are defects and keep their traceback.
 _MALFORMED = (
-    LookupError, TypeError, ValueError, AttributeError, ArithmeticError, struct.error, binascii.Error, MemoryError,
-    RecursionError, OSError,
+    LookupError, TypeError, ValueError, AttributeError, ArithmeticError, struct.error, binascii.Error, RecursionError,
+    OSError,
 )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import mitsuba as mi
 
 from ..errors import AssetError
+from .mitsuba_guard import check_plugins, check_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,18 +74,22 @@ class SceneFile:
     Raises
     ------
     AssetError
-        Mitsuba cannot read the file, or it holds no scene.
+        Mitsuba cannot read the file, it holds no scene, or it asks for more than its folder and Mitsuba's plugins.
     """
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
         self._objects: dict[int, mi.Object] = {}
         config = mi.parser.ParserConfig(mi.variant())
-        with self._told(), _resolving(self.path.parent):
-            self._state = mi.parser.parse_file(config, str(self.path))
-            mi.parser.transform_upgrade(config, self._state)
-            mi.parser.transform_resolve_references(config, self._state)
-            root = self._node(0, {})
+        self._folders = [str(self.path.parent)]
+        with _resolving(self._folders):
+            check_text(self.path)
+            with self._told():
+                self._state = mi.parser.parse_file(config, str(self.path))
+                mi.parser.transform_upgrade(config, self._state)
+                mi.parser.transform_resolve_references(config, self._state)
+                root = self._node(0, {})
+            check_plugins(self.path, ((n.props.plugin_name(), dict(n.props.items())) for n in self._state.nodes))
         if root.kind != "Scene":
             raise AssetError(f"{self.path.name}: it describes a {root.kind.lower()}, not a scene; put it into <scene>")
         #: Shapes of the scene: groups and instances as they are, merged ones apart.
@@ -108,7 +113,7 @@ class SceneFile:
             props.mark_queried(name, False)
         for name, child in node.children:
             props[name] = self.make(child, fresh=fresh)
-        with self._told(f"{node}: "), _resolving(self.path.parent):
+        with self._told(f"{node}: "), _resolving(self._folders):
             made = mi.PluginManager.instance().create_object(props)
             if unknown := props.unqueried():
                 raise ValueError(f"there is no parameter '{unknown[0]}'")
@@ -157,11 +162,16 @@ def _unmerged(shapes: list[Node]) -> Iterator[Node]:
 
 
 @contextlib.contextmanager
-def _resolving(folder: Path) -> Iterator[None]:
-    """Files that a scene names are looked for beside it first."""
+def _resolving(folders: list[str]) -> Iterator[None]:
+    """Files that a scene names are looked for in these folders first; grows by those that its ``<path>`` adds."""
     resolver = mi.file_resolver()
-    resolver.prepend(str(folder))
+    before = [str(path) for path in resolver]
+    for folder in reversed(folders):
+        resolver.prepend(folder)
     try:
         yield
     finally:
-        del resolver[0]
+        folders += [path for path in map(str, resolver) if path not in (*before, *folders)]
+        resolver.clear()
+        for path in before:
+            resolver.append(path)

@@ -16,7 +16,7 @@ from .gltf_file import GltfFile
 from .gltf_material import read_material
 from .images import constant
 from .mapping import Mapping
-from .validate import check_indices, used_vertices
+from .validate import MAX_COORDINATE, check_indices, used_vertices
 
 _MODES = {0: "points", 1: "lines", 2: "line loop", 3: "line strip", 4: "triangles", 5: "strip", 6: "fan"}
 
@@ -196,6 +196,8 @@ class _Scene:
                 np.concatenate([file.accessor(attributes[f"{key}_{s}"])[used] for s in sets], axis=1)
                 for key in ("JOINTS", "WEIGHTS")
             )
+            if not (np.isfinite(weights).all() and (np.abs(matrices) < MAX_COORDINATE).all()):
+                raise MeshError(f"{file.name}: the skin of '{name}' is not finite; reset its pose and export again")
             which = np.where(weights > 0, which, 0).astype(np.int64)
             check_indices(which.reshape(-1), len(joints), file.name, name, "joint")
             self._add(_posed(part, matrices, which, weights.astype(np.float64)), np.eye(4), name)

@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
 
+from .. import memory
 from ..errors import AssetError, MeshError
-from .asset import Asset, Instance, Material, Part
+from .asset import FEWER_INSTANCES, PER_INSTANCE, Asset, Instance, Material, Part
 from .mapping import Mapping
 from .polygons import fan, smooth_normals, split_corners, unique_rows
 from .resources import Resources
+from .usd_layers import check_layers, rehearse
 from .usd_material import display_material, read_usd_material
 from .validate import check_indices
 
@@ -37,7 +39,9 @@ def read_usd(path: Path) -> Asset:
     Raises
     ------
     AssetError
-        The stage, a layer, or a texture is missing or cannot be read.
+        The stage, a layer, or a texture is missing, lies outside the file's folder, or cannot be read.
+    MemoryLimitError
+        Its prims or instances do not fit into memory.
     MeshError
         Face counts and indices that do not fit together.
     """
@@ -45,6 +49,8 @@ def read_usd(path: Path) -> Asset:
     resources = Resources(path, notes)
     diagnostics = UsdUtils.CoalescingDiagnosticDelegate()
     try:
+        rehearse(path)
+        check_layers(path, resources)
         stage = Usd.Stage.Open(str(path))
         _note_diagnostics(diagnostics, resources)
         asset = _Stage(stage, resources).read()
@@ -66,7 +72,8 @@ def _note_diagnostics(delegate: UsdUtils.CoalescingDiagnosticDelegate, resources
         line = " ".join(re.sub(r"\(instantiating stage.*|:SDF_FORMAT_ARGS:[^@]*", "", item.commentary).split())
         missing = re.search(r"Could not open asset @([^@]+)@", line)
         if missing and "Cannot determine file format" not in line:
-            raise AssetError(f"{resources.model.name}: it refers to '{missing[1]}', which cannot be opened: {line}")
+            reason = line.removeprefix(f"{missing[0]} for ")
+            raise AssetError(f"{resources.model.name}: it refers to '{missing[1]}', which cannot be opened: {reason}")
         resources.note(f"USD: {line}")
 
 
@@ -151,6 +158,9 @@ class _Stage:
             # The instance transforms hold the prototype's own one already.
             self._collect(prototype, np.linalg.inv(self._world(prototype)), depth + 1)
             members, self.instances = self.instances[before:], self.instances[:before]
+            n = len(members) * int((shown & (which == number)).sum())
+            what = f"{self.resources.model.name}: point instancer '{name}' of {n:,} instances"
+            memory.require(PER_INSTANCE * n, what, FEWER_INSTANCES)
             for placement in placements[shown & (which == number)]:
                 self.instances += [Instance(m.part, placement @ m.to_world, m.name) for m in members]
 

@@ -80,7 +80,7 @@ class Resources:
         folder = self.model.parent
         # Paths of the author's own machine, 'C:\work\x.png', are common in MTL files; the file itself lies beside it.
         slashed, beside = uri.replace("\\", "/"), PureWindowsPath(uri).name
-        found = [folder / name for name in dict.fromkeys((uri, slashed, beside)) if _is_file(folder / name)]
+        found = [folder / name for name in dict.fromkeys((uri, slashed, beside)) if is_file(folder / name)]
         for path in found:
             if self.holds(path):
                 if path == folder / beside and beside != slashed:
@@ -113,7 +113,7 @@ class Resources:
         if len(uri.partition(":")[0]) > 1 and "://" in uri:
             raise AssetError(f"{self.model.name}: {what} '{shown(uri)}' is not a file; download it beside the model")
         plain = self.model.parent / uri
-        return plain if _is_file(plain) and self.holds(plain) else self.find(urllib.parse.unquote(uri), what)
+        return plain if is_file(plain) and self.holds(plain) else self.find(urllib.parse.unquote(uri), what)
 
     def image(self, uri: str) -> np.ndarray:
         """
@@ -134,19 +134,23 @@ class Resources:
         """
         Add a line to the notes, once.
         """
+        line = shown(line, 400)
         if line not in self.notes:
             self.notes.append(line)
 
 
-def shown(text: str) -> str:
+def shown(text: str, longest: int = 120) -> str:
     """
-    A name from a file as a message shows it: of one line and not too long.
+    What a file says, as a message shows it: of one line and not too long.
     """
     text = "".join(c if c.isprintable() else "?" for c in text)
-    return text if len(text) <= 120 else f"{text[:100]}… ({len(text)} characters)"
+    return text if len(text) <= longest else f"{text[:longest]}… ({len(text)} characters)"
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
+    """
+    As ``path.is_file()``, also for names that no file can have.
+    """
     try:
         return path.is_file()
     except (OSError, ValueError):  # names too long, or with null characters

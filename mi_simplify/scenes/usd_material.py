@@ -5,6 +5,7 @@ USD materials: UsdPreviewSurface with its texture, primvar and transform nodes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from pxr import Ar, Sdf, UsdShade
@@ -141,6 +142,8 @@ class _Reader:
         opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(resolved)) if resolved else None
         if not opened:
             raise AssetError(f"{model}: texture '{asset.path}' does not exist; put it where the file looks for it")
+        if not self.resources.holds(Path(Ar.SplitPackageRelativePathOuter(resolved)[0])):
+            raise self.resources.outside(asset.path, "texture")
         with opened:
             return self.resources.embedded_image(("usd", resolved), _reader_of(opened), asset.path)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import memory
 from ..errors import MeshError
-from .asset import FEWER_INSTANCES, Asset, Part
+from .asset import FEWER_INSTANCES, Asset, Material, Part
 from .polygons import smooth_normals
 
 #: Coordinates beyond this overflow when squared in float32.
@@ -68,7 +68,8 @@ def check_asset(asset: Asset, model: str) -> Asset:
         names = ", ".join(f"'{p.name}'" for p in asset.parts[:3])
         raise MeshError(f"{model}: the faces of part {names} have no area; all their corners lie on a point or a line")
     notes = list(asset.notes)
-    parts = tuple(_mend_part(part, notes) for part in asset.parts)
+    materials = {id(part.material): _mend_material(part.material, notes) for part in asset.parts}
+    parts = tuple(replace(_mend_part(part, notes), material=materials[id(part.material)]) for part in asset.parts)
     return replace(asset, parts=parts, notes=tuple(notes))
 
 
@@ -89,6 +90,15 @@ def _check_part(part: Part, model: str) -> None:
 def _area(part: Part, to_world: np.ndarray) -> float:
     p = (part.vertices @ to_world[:3, :3].T)[part.faces]
     return float(np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum())
+
+
+def _mend_material(material: Material, notes: list[str]) -> Material:
+    found = {name: getattr(material, name) for name in ("base_color", "specular", "normal")}
+    bad = {name: image for name, image in found.items() if image is not None and not np.isfinite(image).all()}
+    if bad:
+        notes.append(f"{', '.join(bad)} of material '{material.name}' that is NaN or infinite was set to 0")
+    zero = {"nan": 0.0, "posinf": 0.0, "neginf": 0.0}
+    return replace(material, **{name: np.nan_to_num(image, **zero) for name, image in bad.items()}) if bad else material
 
 
 def _mend_part(part: Part, notes: list[str]) -> Part:

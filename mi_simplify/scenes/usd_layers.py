@@ -1,0 +1,117 @@
+"""
+The layers that a USD file is composed of: all inside its folder, and opened once in a process of their own.
+
+USD composes as it opens: ten lines that refer to each other twice make a thousand prims, forty fill any memory, and
+what is parsed in C++ may end the process. So a worker goes first, under limits, and its fate is the message.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from pxr import Ar, Sdf, Tf, Usd, UsdUtils
+
+from .. import memory
+from ..errors import AssetError, MemoryLimitError, UserError
+from .resources import Resources
+
+#: Prims, instances counted each, beyond which a stage is refused.
+MAX_PRIMS = 1_000_000
+
+#: How the worker ends where the system does not end it.
+_OPENED, _NO_MEMORY, _TOO_MANY = 0, 3, 4
+
+
+def rehearse(path: Path) -> None:
+    """
+    Open a stage in another process.
+
+    Raises
+    ------
+    MemoryLimitError
+        It takes more memory than is left.
+    AssetError
+        It ends the process, takes minutes, or has more than ``MAX_PRIMS`` prims.
+    """
+    room = memory.left()
+    time_limit = 60 + path.stat().st_size / 1e6
+    command = [sys.executable, "-m", __name__, str(path.absolute()), str(room or 0)]
+    try:
+        code = subprocess.run(command, capture_output=True, timeout=time_limit, check=False).returncode
+    except subprocess.TimeoutExpired:
+        message = f"{path.name}: USD takes longer than {time_limit:.0f} s to open it; simplify the file"
+        raise AssetError(message) from None
+    if code == _NO_MEMORY:
+        shown = "there is" if room is None else f"the {memory.shown_size(room)} that are left"
+        raise MemoryLimitError(f"{path.name}: USD needs more memory than {shown} to open it; simplify the file")
+    if code == _TOO_MANY:
+        raise AssetError(f"{path.name}: it has more than {MAX_PRIMS:,} prims, instances counted; open a part of it")
+    if code != _OPENED:
+        raise AssetError(f"{path.name}: USD ends with code {code} when it opens the file; export it again")
+
+
+def check_layers(path: Path, resources: Resources) -> None:
+    """
+    Raise where a layer, or a file that one names, lies outside the folder of the model.
+
+    Parameters
+    ----------
+    path : Path
+        The root layer; the others are opened one by one, as they are found to be inside.
+
+    Raises
+    ------
+    AssetError
+        A path leads out, or is an expression, which could.
+    """
+    todo, seen = [str(path)], set()
+    while todo:
+        try:
+            layer = Sdf.Layer.FindOrOpen(todo.pop())
+        except Tf.ErrorException:
+            continue  # what cannot be opened is told when the stage is composed
+        if not layer or layer.identifier in seen:
+            continue
+        seen.add(layer.identifier)
+        composed = set(layer.GetCompositionAssetDependencies())
+        named = [name for kind in UsdUtils.ExtractExternalReferences(layer.identifier) for name in kind]
+        for name in sorted(composed.union(named) - {""}):
+            if name.startswith("`"):
+                raise AssetError(f"{path.name}: it refers to a file by the expression {name}; flatten the stage first")
+            anchored = layer.ComputeAbsolutePath(name)
+            found = str(Ar.GetResolver().Resolve(anchored))
+            outer = Path(Ar.SplitPackageRelativePathOuter(found or anchored)[0])
+            # Names with '#' are templates of many files.
+            if (found or "#" in name) and not resources.holds(outer):
+                raise resources.outside(name, "layer" if name in composed else "file")
+            if found and name in composed and Sdf.FileFormat.FindByExtension(found):
+                todo.append(found)
+
+
+def _work(path: str, room: int) -> int:
+    """The worker: how it ends says what opening costs; errors are left to the process that asks."""
+    if room:
+        try:
+            import resource
+
+            resource.setrlimit(resource.RLIMIT_AS, (room, room))
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        except (ImportError, ValueError, OSError):  # Windows has no such limits
+            pass
+    try:
+        check_layers(Path(path), Resources(Path(path), []))
+        stage = Usd.Stage.Open(path)
+        for n, _ in enumerate(stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate))):
+            if n > MAX_PRIMS:
+                return _TOO_MANY
+    except MemoryError:
+        return _NO_MEMORY
+    except (UserError, Tf.ErrorException, RuntimeError, ValueError, LookupError, TypeError):
+        pass
+    return _OPENED
+
+
+if __name__ == "__main__":
+    sys.exit(_work(sys.argv[1], int(sys.argv[2])))
