@@ -185,8 +185,9 @@ def _try_rest(result: Forecast, config: Config, asset: Asset, guess: Model, prog
     n_images = judged.views * (3 + judged.baseline)
 
     def judge() -> Any:
-        settings = {"n_views": 1, "resolution": judged.resolution, "spp": judged.spp, "seed": config.seed}
-        return compare_assets(asset, {"result": candidate}, **settings)
+        return compare_assets(
+            asset, {"result": candidate}, n_views=1, resolution=judged.resolution, spp=judged.spp, seed=config.seed
+        )
 
     judge()
     begin = clock.lap()  # with compiling

@@ -9,7 +9,7 @@ permits no others and no connection; without them everything but divider and 3D 
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,10 @@ def _size(n_bytes: float) -> str:
     return f"{n_bytes / 1e6:,.1f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:,.1f} kB"
 
 
-COSTS = {"triangles": ("triangles", "{:,}".format), "vertices": ("vertices", "{:,}".format)}
-COSTS |= {"texels": ("texels", "{:,}".format), "bytes": ("file", _size)}
+COSTS: dict[str, tuple[str, Callable[[Any], str]]] = {
+    "triangles": ("triangles", "{:,}".format), "vertices": ("vertices", "{:,}".format),
+    "texels": ("texels", "{:,}".format), "bytes": ("file", _size),
+}  # fmt: skip
 """Heading and format of what a model costs."""
 
 

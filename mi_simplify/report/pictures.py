@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from ..export.textures import to_8bit
 from .metrics import COVERED, tonemap
 
-RED, BLUE, GREY = np.float32([0.86, 0.15, 0.12]), np.float32([0.13, 0.35, 0.90]), np.float32([0.5, 0.5, 0.5])
+RED, BLUE, GREY = np.array([[0.86, 0.15, 0.12], [0.13, 0.35, 0.90], [0.5, 0.5, 0.5]], np.float32)
 DIFFERENCE_GAIN = 4.0
 """A difference of a quarter of the sRGB range is shown in full colour."""
 
