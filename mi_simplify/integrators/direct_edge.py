@@ -110,12 +110,14 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         """
         scale = dr.maximum(dr.max(dr.abs(dr.detach(ray.o))), dr.max(dr.abs(dr.detach(si.p))))
         t = dr.select(active, dr.detach(si.t), 0)
+        # Rounding moves a hit along the ray by as much more as the surface is seen more edge-on.
+        edge_on = dr.rcp(dr.clip(dr.abs(dr.dot(dr.detach(si.n), dr.detach(ray.d))), 0.01, 1))
 
         def meet(step, active):
             onward = mi.Ray3f(dr.fma(ray.d, t + step * scale, ray.o), ray.d, ray.time, ray.wavelengths)
             return scene.ray_intersect(onward, ray_flags=mi.RayFlags.All, coherent=False, active=active), onward
 
-        found, onward = meet(_LAYER_STEP, active)
+        found, onward = meet(_LAYER_STEP * edge_on, active)
         is_same = active & found.is_valid() & (found.prim_index == si.prim_index) & (found.shape == si.shape)
         other, farther = meet(mi.math.RayEpsilon, is_same)
         onward.o = dr.select(is_same, farther.o, onward.o)
