@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import AssetError, MemoryLimitError, UserError
 from ..runtime import ensure_variant
 from .asset import Asset
@@ -63,8 +65,8 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
     if path.stat().st_size == 0:
         raise AssetError(f"the {purpose} '{path}' is empty")
     try:
-        asset = _reader(suffix)(path)
-        asset = check_asset(asset, path.name)
+        with np.errstate(all="ignore"):  # what is not finite in the end is found by the check
+            asset = check_asset(_reader(suffix)(path), path.name)
     except UserError as error:
         line = shown(str(error), 600)  # names in a file may hold anything
         if line == str(error):

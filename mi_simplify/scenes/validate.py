@@ -16,6 +16,9 @@ from .polygons import smooth_normals
 #: Coordinates beyond this overflow when squared in float32.
 MAX_COORDINATE = 1e15
 
+#: Texture coordinates beyond this have lost their place on the texture in float32, and are as good as infinite.
+MAX_UV = 1e6
+
 #: Bytes that a placed triangle takes until the mesh is clean.
 PER_TRIANGLE = 700
 
@@ -74,6 +77,12 @@ def check_asset(asset: Asset, model: str) -> Asset:
 
 
 def _check_part(part: Part, model: str) -> None:
+    for what, values, width in (
+        ("positions", part.vertices, 3), ("normals", part.normals, 3), ("texture coordinates", part.uvs, 2),
+        ("colours", part.colors, 4),
+    ):  # fmt: skip
+        if values is not None and values.shape != (len(part.vertices), width):
+            raise MeshError(f"{model}: the {what} of part '{part.name}' have the shape {values.shape}; export it again")
     check_indices(part.faces.reshape(-1), len(part.vertices), model, part.name)
     used = part.vertices[np.unique(part.faces)] if len(part.faces) else part.vertices[:0]
     bad = ~np.isfinite(used).all(axis=1)
@@ -112,9 +121,9 @@ def _mend_part(part: Part, notes: list[str]) -> Part:
             normals[bad] = smooth_normals(part.vertices, part.faces)[bad]
             notes.append(f"{int(bad.sum())} of {len(bad)} normals of part '{part.name}' had no length; recomputed")
         normals = normals.astype(np.float32)
-    if uvs is not None and not np.isfinite(uvs).all():
+    if uvs is not None and not (fine := np.abs(uvs) < MAX_UV).all():
         notes.append(f"texture coordinates of part '{part.name}' that are NaN or infinite were set to 0")
-        uvs = np.nan_to_num(uvs, nan=0.0, posinf=0.0, neginf=0.0)
+        uvs = np.where(fine, uvs, 0.0)
     if colors is not None:
         colors = np.clip(np.nan_to_num(colors, nan=1.0), 0, 1).astype(np.float32)
     return replace(part, normals=normals, uvs=None if uvs is None else uvs.astype(np.float32), colors=colors)
