@@ -57,7 +57,7 @@ def repair(
     p, index, n_pieces = _reattach(np.asarray(positions, np.float64), faces, reference)
     faces = index[faces]
     p, share = _settled(p, faces, reference)
-    p, n_strays = _drawn_in(p, faces, reference)
+    p, n_strays = _drawn_in(p, faces, reference, n_pieces > 0 or share < 1)
     notes = []
     if n_pieces:
         notes.append(f"{n_pieces} detached pieces put back where their borders fit")
@@ -65,7 +65,7 @@ def repair(
         notes.append(f"{n_strays} stray vertices drawn back to the surface")
     if share < 1:
         notes.append(f"surface moved to the reference: its mean distance fell to {share:.0%} of what it was")
-    if notes:
+    if n_pieces or share < 1:
         p, _ = _settled(p, faces, reference, gain=1.0)
     return p, index, notes
 
@@ -90,18 +90,21 @@ def _distance(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -> flo
     return float(reference.query(np.concatenate([p[np.unique(faces)], p[faces].mean(1)]), candidates=4).distance.mean())
 
 
-def _off(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -> np.ndarray:
-    """Faces that are turned away from the reference or lie far from it, shape (F,), bool."""
+def _off(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -> tuple[np.ndarray, np.ndarray]:
+    """Faces that are turned away from the reference or lie far from it, and the latter alone, shape (F,), bool."""
     c = p[faces]
     normal = np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     hit = reference.query(c.mean(1))
     edge = np.median(np.linalg.norm(c - np.roll(c, 1, axis=1), axis=2))
     turned = np.einsum("fi,fi->f", normal, reference.normals[hit.face]) < _TURNED
-    return turned | (hit.distance > np.maximum(_FAR * edge, 3 * np.median(hit.distance)))
+    far = hit.distance > np.maximum(_FAR * edge, 3 * np.median(hit.distance))
+    return turned | far, far
 
 
-def _drawn_in(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints, rounds: int = 6) -> tuple[np.ndarray, int]:
+def _drawn_in(
+    p: np.ndarray, faces: np.ndarray, reference: ClosestPoints, damage: bool, rounds: int = 6
+) -> tuple[np.ndarray, int]:
     """Vertices of faces that are off, spread between their neighbours on the reference where it mends half of them."""
     n = len(p)
     a, b = edge_pairs(faces)[0].T
@@ -109,7 +112,7 @@ def _drawn_in(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints, rounds
     degree = ring @ np.ones(n)
     drawn, border = np.zeros(n, bool), np.zeros(n, bool)
     border[_open_edges(faces)] = True
-    off = _off(p, faces, reference)
+    off, far = _off(p, faces, reference)
     for attempt in range(rounds):
         stray = np.zeros(n, bool)
         stray[faces[off]] = True
@@ -129,11 +132,12 @@ def _drawn_in(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints, rounds
         trial[stray] = reference.query(spsolve(inner, ring[stray][:, ~stray] @ p[~stray]).reshape(-1, 3)).point
         # Every cluster of strays is a question of its own.
         owner = of[faces].min(1)
-        before, after = (np.bincount(owner, x, clusters + 1) for x in (off, _off(trial, faces, reference)))
-        better = stray & (2 * after < before)[of]
+        before, after = (np.bincount(owner, x, clusters + 1) for x in (off, _off(trial, faces, reference)[0]))
+        damaged = (np.bincount(owner, far, clusters + 1) > 0) | damage  # thin parts of a sound mesh may look turned
+        better = stray & ((2 * after < before) & damaged)[of]
         p = np.where(better[:, None], trial, p)
         drawn |= better
-        off = _off(p, faces, reference)
+        off, far = _off(p, faces, reference)
     return p, int(drawn.sum())
 
 
