@@ -151,7 +151,7 @@ def _viewer(models: Mapping[str, Asset]) -> str:
         f'<label>show <select name="mode">{modes}</select></label>'
         '<label><input type="checkbox" name="wires"> triangles</label></div>'
         '<canvas tabindex="0" aria-label="the model in 3D"></canvas>'
-        '<p class="none">This browser has no WebGL 2, which the 3D view needs.</p></div>'
+        '<p class="none">The 3D view needs WebGL 2, which this browser has not or not switched on.</p></div>'
     )
 
 

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,9 +41,8 @@ def discs(brightness: float) -> np.ndarray:
     return inside[..., None] * np.float32([brightness] * 3 + [1])
 
 
-@pytest.fixture(scope="module")
-def report(tmp_path_factory) -> Path:
-    """A report of a made-up run over two spheres."""
+def comparison() -> Comparison:
+    """A reference with two candidates, the second one better."""
     reference, candidates = discs(0.9), {"first guess": discs(0.1), "result <b>": discs(0.85)}
     figures = {
         "settings": {"spp": 4},
@@ -50,8 +50,14 @@ def report(tmp_path_factory) -> Path:
         "candidates": {name: {"triangles": 200, **compare(reference, c)} for name, c in candidates.items()},
         "run": {},
     }
+    return Comparison(reference, candidates, figures)
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory) -> Path:
+    """A report of a made-up run over two spheres."""
     return write_report(
-        tmp_path_factory.mktemp("report") / "report.html", Comparison(reference, candidates, figures), title="sphere",
+        tmp_path_factory.mktemp("report") / "report.html", comparison(), title="sphere",
         models={"reference": sphere(20, RED), "result <b>": sphere(8, GREEN, opacity=0.0)}, settings="asset: sphere",
         log=[{"step": k, "loss": 1 / k, "psnr": 20 + k} for k in range(1, 9)], notes=["a note"],
     )  # fmt: skip
@@ -196,6 +202,28 @@ def test_what_is_shown_of_the_model_can_be_chosen(opened):
     np.testing.assert_allclose(shown["roughness"], 0.4 * 255, atol=3)
     np.testing.assert_allclose(shown["metallic"], 0, atol=3)
     assert np.ptp(shown["shape alone"]) < 6, "grey"
+
+
+def test_normal_maps_lean_the_way_that_they_say(browser, tmp_path):
+    flat = sphere(20, RED)
+    (part,) = flat.parts
+    lean = np.tile(np.float32([0.4, 0.4, 0.824]), (8, 8, 1))
+    leaning = replace(part, material=replace(part.material, normal=lean))
+    mirrored = replace(leaning, uvs=np.float32([1, 0]) + np.float32([-1, 1]) * part.uvs)
+    models = {"flat": flat} | {f"{k}": Asset((p,), (Instance(0),)) for k, p in enumerate((leaning, mirrored))}
+    report = write_report(tmp_path / "report.html", comparison(), title="sphere", models=models)
+    seen = []
+    for page in page_of(browser, report, width=1366, height=768):
+        page.select_option("#viewer select[name=mode]", label="normals")
+        for k in range(3):
+            page.select_option("#viewer select[name=model]", index=k)
+            page.wait_for_timeout(200)
+            image = drawn(page)
+            seen.append(image[image.shape[0] // 2, image.shape[1] // 2] / 255 * 2 - 1)
+    normal, right = np.array([0.54, 0.296, 0.789]), np.array([0.825, 0, -0.565])  # where the camera looks from
+    np.testing.assert_allclose(seen[0], normal, atol=0.06)
+    along = [[(x - seen[0]) @ axis for axis in (right, np.cross(normal, right))] for x in seen[1:]]
+    np.testing.assert_allclose(along, [[0.4, 0.4], [-0.4, 0.4]], atol=0.08)
 
 
 def test_a_texture_is_enlarged_and_put_back(opened):

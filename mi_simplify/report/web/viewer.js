@@ -5,7 +5,7 @@
   if (!box) return;
   const canvas = box.querySelector("canvas");
   const gl = canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
-  if (!gl) {
+  if (!gl || !window.DecompressionStream) {
     box.dataset.state = "none";
     return;
   }
