@@ -59,10 +59,10 @@ def left() -> int | None:
     """
     Bytes that this process may still take: up to the limit, else what the machine has free; None where nobody tells.
     """
-    limit, held = _LIMIT.get(), _held()
+    limit, now = _LIMIT.get(), held()
     free = [n for n in (_free_in_system(), _free_in_cgroup()) if n is not None]
-    if limit is not None and held is not None:
-        free.append(limit - held)
+    if limit is not None and now is not None:
+        free.append(limit - now)
     return max(min(free), 0) if free else None
 
 
@@ -90,8 +90,10 @@ def require(n_bytes: float, what: str, way_out: str) -> None:
         raise MemoryLimitError(f"{need}, {shown_size(room)} {cause}; {way_out}")
 
 
-def _held() -> int | None:
-    """Memory that this process holds now [bytes]."""
+def held() -> int | None:
+    """
+    Memory that this process holds now [bytes]; None where the system does not tell.
+    """
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError, AttributeError):

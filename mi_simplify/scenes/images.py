@@ -21,7 +21,7 @@ from ..errors import AssetError, UserError
 MAX_PIXELS = 16384**2
 
 #: What Pillow may take a file for. It knows more, among them some that it hands to other programs (EPS to Ghostscript).
-_FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "TGA", "BMP", "GIF", "DDS", "PPM", "PSD", "JPEG2000", "AVIF")
+_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "TGA", "BMP", "GIF", "DDS", "PPM", "PSD", "JPEG2000", "AVIF")
 
 #: Bytes that a pixel takes as it is decoded and made linear: 4 x 8 bits as read, 4 x 32 bits with a copy.
 _BYTES_PER_PIXEL = 36
@@ -89,11 +89,11 @@ def _told(name: str, model: str) -> Iterator[None]:
 @contextlib.contextmanager
 def _opened(data: bytes) -> Iterator[Image.Image]:
     """An image of Pillow, whose own limit of pixels warns and ours stands in for."""
-    known = set(Image.registered_extensions().values())  # builds of Pillow differ
+    Image.init()  # builds of Pillow differ in what they know
     before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
         with warnings.catch_warnings(action="ignore"):
-            yield Image.open(io.BytesIO(data), formats=[f for f in _FORMATS if f in known])
+            yield Image.open(io.BytesIO(data), formats=[name for name in _FORMATS if name in Image.OPEN])
     finally:
         Image.MAX_IMAGE_PIXELS = before
 

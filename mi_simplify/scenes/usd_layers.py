@@ -48,8 +48,8 @@ def rehearse(path: Path) -> None:
         raise MemoryLimitError(f"{path.name}: USD needs more memory than {shown} to open it; simplify the file")
     if code == _TOO_MANY:
         raise AssetError(f"{path.name}: it has more than {MAX_PRIMS:,} prims, instances counted; open a part of it")
-    if code != _OPENED:
-        raise AssetError(f"{path.name}: USD ends with code {code} when it opens the file; export it again")
+    if code != _OPENED:  # it may also end so where an allocation fails
+        raise AssetError(f"{path.name}: USD ends with code {code} when it opens the file; simplify or export it again")
 
 
 def check_layers(path: Path, resources: Resources) -> None:
