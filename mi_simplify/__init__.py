@@ -39,6 +39,7 @@ _EXPORTS = {
     "load_config": "config",
     "make_reference": "scenes.reference",
     "open_asset": "job",
+    "report_folder": "report",
     "run_job": "job",
 }
 
