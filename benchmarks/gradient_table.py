@@ -1,7 +1,7 @@
 """
 Prints every gradient next to its central finite difference, and writes docs/gradients.md.
 
-    python benchmarks/gradient_table.py            everything, about half an hour on two cores
+    python benchmarks/gradient_table.py            everything: about half an hour on two idle cores
     python benchmarks/gradient_table.py --only "two objects" --dry
 """
 
@@ -53,8 +53,8 @@ pair passes within 1 %, or within 3 standard errors where these are below 1 %; *
 mode equals backward mode to float precision (a test).
 
 `direct_projective` is Mitsuba's own estimator (`sppi` 0: no shadow borders), compared on colour alone since it has
-no derivative of alpha, and relative to |difference|; its noise is a few times larger than ours. The light stands at the
-camera, so that no shadow is seen and both render the same image.
+no derivative of alpha, and relative to |difference|: where that nearly vanishes, percents say little. The light stands
+at the camera, so that no shadow is seen and both render the same image.
 """
 
 LIMITS = """## What is not covered
