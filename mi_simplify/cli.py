@@ -80,6 +80,7 @@ def _options(*options: Callable) -> Callable:
 
 
 _VARIANT = click.option("--variant", metavar="NAME", help="Mitsuba variant: llvm_ad_rgb or cuda_ad_rgb.")
+_MEMORY = click.option("--memory-limit", metavar="SIZE", help="Refuse what takes more memory than this, such as 4GB.")
 _JOB = _options(
     click.option("--preset", metavar="NAME", help="fast, balanced or best."),
     click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Override a config key; repeatable."),
@@ -90,6 +91,7 @@ _JOB = _options(
         help="Leave these as the first guess has them, such as kd,orm: shape, kd (base_color, opacity), "
         "orm (gamma, roughness, metallic), normal.",
     ),  # fmt: skip
+    _MEMORY,
     _VARIANT,
 )
 _KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")
@@ -156,9 +158,10 @@ def _default_folder(name: str) -> Path:
 
 def _run(
     config, out, overrides, *,
-    preset, variant, fixed_shape, normal_only, skip, tensorboard, dry_run, overwrite, resume, quiet,
+    preset, variant, fixed_shape, normal_only, skip, memory_limit, tensorboard, dry_run, overwrite, resume, quiet,
 ) -> None:  # fmt: skip
     from .config import load_config, without
+    from .memory import limited, parse_size
 
     chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
     if tensorboard:
@@ -172,7 +175,7 @@ def _run(
     from .job import run_job
 
     job: Callable[..., Any] = forecast if dry_run else run_job
-    with _progress(quiet) as progress:
+    with limited(parse_size(memory_limit) if memory_limit else None), _progress(quiet) as progress:
         result = job(settings, out, progress, overwrite=overwrite, resume=resume)
     if dry_run or not quiet:
         print(result.summary())

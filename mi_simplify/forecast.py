@@ -25,6 +25,7 @@ from .export.gltf import glb_bytes
 from .fitting import Run
 from .fitting.fit import REFRESH_EVERY
 from .fitting.schedules import resolution_at
+from .footprint import check_footprint
 from .frame import Frame
 from .job import guess_for, open_asset, reference_for
 from .latent.model import Mesh, Model
@@ -99,12 +100,14 @@ def forecast(
     if resume:
         raise OutputError("--dry-run says what a whole run takes; leave out --resume")
     folder = RunFolder(out, overwrite=overwrite)
+    check_footprint(config)
     if config.export.tensorboard:
         require_tensorboard()
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
     clock = _Clock()
     progress(Progress("load", message=config.asset))
     asset = open_asset(config.asset)
+    check_footprint(config, asset)
     frame = Frame.around(asset.bounds)
     target = frame.normalised(asset)
     load = clock.lap()

@@ -16,6 +16,7 @@ from .errors import AssetError, Defect
 from .events import require_tensorboard
 from .export import export_model
 from .export.files import write_atomic
+from .footprint import check_footprint
 from .frame import Frame
 from .initial import first_guess, quadrics_only
 from .interrupt import DeferredInterrupt
@@ -154,6 +155,7 @@ def run_job(
     folder = RunFolder(out, overwrite=overwrite, resume=resume)
     if config.export.tensorboard:
         require_tensorboard()
+    check_footprint(config)
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
     with DeferredInterrupt() as interrupt:
 
@@ -170,6 +172,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
     clock = _Stopwatch()
     progress(Progress("load", message=config.asset))
     asset = open_asset(config.asset)
+    check_footprint(config, asset)
     frame = Frame.around(asset.bounds)
     target = frame.normalised(asset)
     clock.lap("load")
