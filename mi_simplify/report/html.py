@@ -88,7 +88,7 @@ def report_page(
     names = list(comparison.candidates)
     beside = _section("side-by-side", "Side by side", divider(columns, len(names)), _DIVIDER_HINT)
     turning = _section("model", "In 3D", _viewer(models), _VIEWER_HINT)
-    table = _section("figures", "Figures", _table(figures))
+    table = _section("figures", "Figures", _table(figures), _COSTS_HINT)
     is_fit = "run" in figures or len(names) < 2  # the last candidate is what all the others are for
     sections = [
         _cards(figures, log) if is_fit else table,
@@ -130,6 +130,7 @@ def report_page(
 """
 
 
+_COSTS_HINT = "A file’s size is its own; textures that a format keeps in files beside it come on top."
 _DIVIDER_HINT = "Drag the divider, or use the arrow keys: left and right move it, up and down change the view."
 _VIEWER_HINT = "Drag to turn, wheel or pinch to come closer; Shift or the right button moves the light."
 
