@@ -11,13 +11,13 @@ from .config import Config
 from .scenes.asset import Asset
 
 #: Python, Mitsuba, LLVM and their kernels, with a job of next to nothing.
-_BASE = 1000 << 20
+_BASE = 320 << 20
 
 #: Texel of the atlas: as baked, as parameters with gradients and moments, as images of the report.
 _PER_TEXEL = 580
 
 #: Sample of the batch: rays, hits, shading and their adjoints.
-_PER_SAMPLE = 400
+_PER_SAMPLE = 100
 
 #: Pixel of a view in the pool, half precision, and in the copy of a checkpoint.
 _PER_POOLED = {"direct": 16, "baked": 16, "matched": 28}
@@ -27,6 +27,9 @@ _PER_JUDGED = 100
 
 #: Triangle of the asset while it is decimated and baked from.
 _PER_TRIANGLE = 1200
+
+#: How often the asset's textures are held: as read, by the renderers of fit and evaluation, packed for the report.
+_COPIES = 7
 
 
 def footprint(config: Config, asset: Asset | None = None) -> dict[str, int]:
@@ -50,8 +53,7 @@ def footprint(config: Config, asset: Asset | None = None) -> dict[str, int]:
     if asset is not None:
         materials = {id(part.material): part.material for part in asset.parts}.values()
         images = [image for m in materials for image in (m.base_color, m.specular, m.normal) if image is not None]
-        # The reader holds the textures, the reference renderer its own copy of them.
-        out["asset"] = _PER_TRIANGLE * asset.n_triangles + 2 * sum(image.nbytes for image in images)
+        out["asset"] = _PER_TRIANGLE * asset.n_triangles + _COPIES * sum(image.nbytes for image in images)
     return out
 
 
