@@ -63,7 +63,7 @@ class Fit:
         self._coverage = dr.opaque(mi.Float, config.loss.coverage)
         self._laplacian_start: float | None = None
         self.caution = 1.0
-        """Factor of all rates, halved by :meth:`retreat`."""
+        """Factor of all rates, and divisor of the samples per pixel, halved by :meth:`retreat`."""
 
         view = config.views
         draw = partial(
@@ -80,7 +80,7 @@ class Fit:
         held_out = config.evaluation
         resolution = min(held_out.resolution, max(config.optimizer.resolution))
         self.held_out = draw(min(held_out.views, 8), np.random.default_rng(config.seed + 1), resolution)
-        images = reference.render(self.held_out, seed=1)
+        images = np.mean([reference.render(self.held_out, seed=k + 1) for k in range(_HELD_OUT_RENDERS)], axis=0)
         self._unknown = np.isnan(images).any(axis=3)[..., None]
         self._held_out_images = np.where(self._unknown, 0, images)
 
@@ -104,7 +104,8 @@ class Fit:
             self.renderer.move(leaf)
             dr.enable_grad(leaf)
         surface = self.latent.evaluate(leaf)
-        frame = self.renderer.render(surface, self.latent.textures, views, spp=config.optimizer.spp, seed=seed)
+        spp = max(config.optimizer.spp, min(_CAREFUL_SPP, round(config.optimizer.spp / self.caution)))
+        frame = self.renderer.render(surface, self.latent.textures, views, spp=spp, seed=seed)
 
         background = self._background(dr.width(frame.image), seed)
         loss, grad_image = frame_loss(frame.image + residual, reference, background, self.loss, self._coverage)
@@ -141,12 +142,12 @@ class Fit:
             self.renderer.move(positions)
             return self.latent.model(positions.numpy()), self.latent.evaluate(positions), self.latent.textures
 
-    def _look(self, views: Views) -> np.ndarray:
+    def _look(self, views: Views, seed: int = 1) -> np.ndarray:
         """The current state from some views, shape (B, H, W, 4), without what the reference alone computes."""
         with dr.suspend_grad():
             positions = self.vertices.positions()
             self.renderer.move(positions)
-            surface, seed = self.latent.evaluate(positions), dr.opaque(mi.UInt32, 1)
+            surface, seed = self.latent.evaluate(positions), dr.opaque(mi.UInt32, seed)
             frame = self.renderer.render(surface, self.latent.textures, views, spp=16, seed=seed)
         return frame.image.numpy().T.reshape(len(views), views.height, views.width, 4)
 
@@ -172,7 +173,8 @@ class Fit:
         psnr : float
             Of clipped sRGB on black, mean over views [dB].
         """
-        image, seed = self._look(self.held_out), dr.opaque(mi.UInt32, 1)
+        image = np.mean([self._look(self.held_out, k + 1) for k in range(_HELD_OUT_LOOKS)], axis=0)
+        seed = dr.opaque(mi.UInt32, 1)
         if self.pool.residual is not None:
             image = image + np.nan_to_num(self.pool.residual.render(self.held_out, 1))
         image = np.where(self._unknown, 0, image)
@@ -204,10 +206,9 @@ class Fit:
 
     def retreat(self, parameters: dict[str, np.ndarray]) -> None:
         """
-        After a step that led astray: go back to earlier parameters, with views drawn anew and all rates halved.
+        After steps that led astray: go back to earlier parameters, and on with half the rates and twice the samples.
         """
         self.take(parameters)
-        self.pool.clear()
         self.caution *= 0.5
         if not np.isfinite(self._laplacian_start or 0.0):
             self._laplacian_start = None
@@ -247,3 +248,11 @@ def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance):
 
 #: Steps between two renewals of the pool: fewer, larger ones cost less.
 REFRESH_EVERY = 16
+
+#: Renderings of the held-out views that are averaged, by the reference (each of ``reference.spp``) and of the current
+#: state (each of 16 samples): their noise must be less than what a step near the optimum gains.
+_HELD_OUT_RENDERS, _HELD_OUT_LOOKS = 4, 2
+
+#: Samples per pixel up to which they are doubled: few are quicker, but their noise is no longer small beside what is
+#: left to gain near the optimum, and a loss that is not quadratic takes it for error.
+_CAREFUL_SPP = 8

@@ -106,12 +106,15 @@ class Run:
         self.records.append(record)
         if judged:
             record.update(self.judge())
+            if self.best_step != self.done:
+                self.fit.retreat(self.best)
         return record
 
     def _set_back(self, what: str) -> None:
         """Back to the best state, more carefully; after too many times that is where it ends."""
         self.setbacks += 1
         self.fit.retreat(self.best)
+        self.fit.pool.clear()
         back = f"step {self.done}: NaN or infinity in the {what}; back to the state of step {self.best_step}"
         if self.setbacks < _MAX_SETBACKS:
             log.warning("%s, at half the rates", back)
@@ -141,8 +144,9 @@ def fit(
     Optimise a first guess until it looks like the reference.
 
     Minimises the expected image loss over random views (Hasselgren et al. 2021, Eq. 1 and 6), and returns the state
-    with the least loss on held-out views, which may be the first guess itself: a warning says so. Where a loss or a
-    gradient is not finite, it goes back to the best state with half the rates, and says that too.
+    with the least loss on held-out views, which may be the first guess itself: a warning says so. Where that loss has
+    not fallen, or a loss or a gradient is not finite, it goes back to the best state, and on with half the rates and
+    twice the samples: a start that is nearly right wants smaller steps than the noise of the images makes.
 
     Parameters
     ----------
