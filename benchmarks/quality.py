@@ -42,7 +42,7 @@ class Case:
 
 
 SHAPE = ["latent.optimize=[vertices,normal]"]
-SPHERE = ["initial.kind=sphere", "initial.textures=constant", "optimizer.large_steps.lambda_=19"]
+SPHERE = ["initial.kind=sphere"]
 CASES = [
     Case("skull, 1,000", "skull/skull.obj", 1000, (34.4, 0.0165, 0.0076)),
     Case("skull, 3,000", "skull/skull.obj", 3000, (41.8, 0.0078, 0.0031)),
@@ -127,7 +127,7 @@ def quadrics(path: Path, triangles: int) -> ms.Model:
     )
     part = Part(np.float64(points), np.int64(faces))
     low = Asset((part,), (Instance(0),))
-    return ms.first_guess(asset, triangles=triangles, kind="mesh", init=low)[0]
+    return ms.first_guess(asset, kind="mesh", init=low)[0]
 
 
 def slug(name: str) -> str:
