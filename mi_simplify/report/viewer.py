@@ -102,16 +102,23 @@ def viewer_data(models: Mapping[str, Asset]) -> dict:
     Returns
     -------
     dict
-        ``models``, each with ``name``, ``triangles`` and ``parts``; ``bounds`` of the last one.
+        ``models``, each with ``name``, ``triangles`` and ``parts``, in the frame in which the last one's box has centre
+        0 and a diagonal of 2.
     """
     last = list(models)[-1]
+    low, high = models[last].bounds
+    scale = 2 / np.linalg.norm(high - low)
+    to_frame = np.diag([scale, scale, scale, 1.0])
+    to_frame[:3, 3] = -scale * (low + high) / 2
     return {
-        "bounds": models[last].bounds.tolist(),
         "models": [
-            {"name": name, "triangles": asset.n_triangles, "parts": _parts(asset, embedded=name != last)}
+            {
+                "name": name, "triangles": asset.n_triangles,
+                "parts": _parts(asset.transformed(to_frame), embedded=name != last),
+            }
             for name, asset in models.items()
-        ],
-    }
+        ]
+    }  # fmt: skip
 
 
 def _parts(asset: Asset, embedded: bool) -> list[dict]:

@@ -154,9 +154,6 @@
 
   let loading = 0, changed = true, visible = true;
   const uploaded = new Map(); // models are uploaded when they are first looked at
-  const [low, high] = data.bounds;
-  const center = low.map((x, k) => (x + high[k]) / 2);
-  const radius = Math.hypot(...low.map((x, k) => high[k] - x)) / 2;
   const START = { yaw: 0.6, pitch: 0.3, distance: 2.6 };
   const camera = { ...START }, lamp = { yaw: -0.55, pitch: 0.55 };
   let turning = !matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -177,9 +174,9 @@
     gl.enable(gl.SAMPLE_ALPHA_TO_COVERAGE);
 
     const z = direction(camera.yaw, camera.pitch), x = [Math.cos(camera.yaw), 0, -Math.sin(camera.yaw)], y = cross(z, x);
-    const distance = camera.distance * radius * Math.max(1, height / width);
-    const eye = center.map((c, k) => c + distance * z[k]);
-    const f = 1 / Math.tan(0.36), near = Math.max(0.01 * radius, distance - 1.5 * radius), far = distance + 1.5 * radius;
+    const distance = camera.distance * Math.max(1, height / width); // the model fills a sphere of radius 1
+    const eye = z.map((v) => distance * v);
+    const f = 1 / Math.tan(0.36), near = Math.max(0.01, distance - 1.5), far = distance + 1.5;
     const [a, b] = [(far + near) / (far - near), (-2 * far * near) / (far - near)];
     const rows = [x.map((v) => (v * f * height) / width), y.map((v) => v * f), z.map((v) => -v)];
     const [cx, cy, cw] = rows.map((row) => -dot(row, eye));
