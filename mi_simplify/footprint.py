@@ -23,13 +23,13 @@ _PER_SAMPLE = 100
 _PER_POOLED = {"direct": 16, "baked": 16, "matched": 28}
 
 #: Pixel of a held-out view of one candidate, with its pictures.
-_PER_JUDGED = 100
+_PER_JUDGED = 50
 
 #: Triangle of the asset while it is decimated and baked from.
 _PER_TRIANGLE = 1200
 
 #: How often the asset's textures are held: as read, by the renderers of fit and evaluation, packed for the report.
-_COPIES = 7
+_COPIES = 8
 
 
 def footprint(config: Config, asset: Asset | None = None) -> dict[str, int]:

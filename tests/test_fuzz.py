@@ -1,0 +1,63 @@
+"""A slice of the fuzzer, and that it sees what it looks for; `make fuzz` does twenty thousand inputs."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+FUZZ = Path(__file__).parent / "fuzz" / "fuzz.py"
+
+
+def test_ten_seconds_of_damaged_files(tmp_path):
+    command = [sys.executable, str(FUZZ), "--seconds", "10", "--findings", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    counted = re.search(r"^(\d+) inputs in .* 0 findings", done.stdout, re.MULTILINE)
+    assert counted and int(counted[1]) >= 100, done.stdout
+
+
+BROKEN = """
+import os, sys, time
+from pathlib import Path
+import numpy as np
+sys.path.insert(0, sys.argv[1])
+import fuzz
+from mi_simplify.errors import UserError
+
+count = 0
+
+def read(entry):
+    global count
+    count += 1
+    if count % 10 == 3:
+        raise KeyError("no user error")
+    if count % 10 == 5:
+        raise UserError("two\\nlines")
+    if count % 10 == 7:
+        np.float64(1e308) * 10
+    if count == 9:
+        os.abort()
+    if fuzz.mode == "hang":
+        time.sleep(60)
+    if fuzz.mode == "memory":
+        fuzz.held = np.ones(3 << 27)
+        time.sleep(0.5)
+    raise UserError("one line")
+
+fuzz.read = read
+for fuzz.mode, inputs in (("", 12), ("hang", 1), ("memory", 1)):
+    sys.argv = ["fuzz.py", "--inputs", str(inputs), "--findings", sys.argv[-1]]
+    count, fuzz.LONGEST = 0, 1.0 if fuzz.mode == "hang" else 10.0
+    fuzz.main()
+"""
+
+
+def test_the_fuzzer_finds_what_it_looks_for(tmp_path):
+    command = [sys.executable, "-c", BROKEN, str(FUZZ.parent), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    found = [re.sub(r"^\d+ \S+ ", "", line) for line in done.stdout.splitlines() if " inputs in " not in line]
+    assert found[0].startswith("KeyError") and found[1].startswith("the message is not one line"), found
+    assert found[2].startswith("RuntimeWarning") and found[3].startswith("the process died (exit code -6)"), found
+    assert found[4].startswith("KeyError")  # a new worker goes on, and counts anew
+    assert found[5] == "longer than 1 s" and re.search("more than 2 GB|3 GB of memory", found[6]), found
+    assert sorted(int(path.parent.name) for path in tmp_path.glob("*/finding.txt")) == [0, 2, 4, 6, 8, 11]
