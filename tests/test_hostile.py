@@ -418,3 +418,34 @@ def test_the_command_line_ends_in_one_line_with_code_2(folders):
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("\n") == 1 and done.stderr.startswith("error: a.obj: material library")
     assert not (inside / "out").exists()
+
+
+def test_materials_that_each_hold_one_large_texture(tmp_path):
+    glb = Glb()
+    texture = glb.texture(np.zeros((2048, 2048), np.uint8))
+    assert len(glb.binary) < 1e5
+    for _ in range(100):  # 64 MB each
+        glb.material(pbrMetallicRoughness={"baseColorTexture": {"index": texture}})
+    primitive = glb.quad()
+    glb.mesh(*[{**primitive, "material": k} for k in range(100)])
+    with memory.limited(memory.held() + (1 << 30)):
+        refused(glb.save(tmp_path / "a.glb"), "of 2048 x 2048 pixels needs about", MemoryLimitError, seconds=60)
+
+
+def test_one_mesh_that_many_skins_pose(tmp_path):
+    glb = Glb()
+    points = glb.accessor(np.random.default_rng(0).random((100_000, 3), np.float32))
+    joints, weights = glb.accessor(np.zeros((100_000, 4), np.uint8)), glb.accessor(np.ones((100_000, 4), np.float32))
+    glb.mesh({"attributes": {"POSITION": points, "JOINTS_0": joints, "WEIGHTS_0": weights}})
+    glb.json["skins"] = [{"joints": [0]}]
+    glb.nodes({}, *[{"mesh": 0, "skin": 0} for _ in range(1000)])
+    with memory.limited(memory.held() + (300 << 20)):
+        refused(glb.save(tmp_path / "a.glb"), "needs about", MemoryLimitError, seconds=60)
+
+
+def test_a_library_is_read_once(tmp_path):
+    write(tmp_path / "a.mtl", "newmtl paint\nKd 1 0 0\n" + "# and so on\n" * 20_000)
+    path = write(tmp_path / "a.obj", "mtllib a.mtl\n" * 20_000 + OBJ)
+    begin = time.monotonic()
+    assert load_asset(path).parts[0].material.name == "paint"
+    assert time.monotonic() - begin < 10

@@ -16,6 +16,9 @@ import numpy as np
 #: Bytes that a placement takes.
 PER_INSTANCE = 800
 
+#: Bytes that a corner of a face takes as it is read.
+PER_CORNER = 100
+
 FEWER_INSTANCES = "place fewer, or simplify the part alone"
 
 

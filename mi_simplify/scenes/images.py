@@ -61,16 +61,18 @@ def decode_image(data: bytes, name: str, model: str) -> np.ndarray:
             return _pixels_of(image)
 
 
-def check_image(data: bytes, name: str, model: str) -> None:
+def check_image(data: bytes, name: str, model: str) -> tuple[int, int]:
     """
-    Check the size that an image declares, from its header alone; parameters and errors as of :func:`decode_image`.
+    Width and height that an image declares in its header, checked; parameters and errors as of :func:`decode_image`.
     """
     with _told(name, model):
         if _is_for_mitsuba(data):
-            _check_size(_header_size(data), 32, data, name, model)
+            size, least = _header_size(data), 32
         else:
             with _opened(data) as image:
-                _check_size(image.size, 1, data, name, model)
+                size, least = image.size, 1
+        _check_size(size, least, data, name, model)
+    return size
 
 
 @contextlib.contextmanager
@@ -131,8 +133,16 @@ def _check_size(size: tuple[int, int], least: int, data: bytes, name: str, model
         raise AssetError(f"{model}: texture '{name}' is larger than 16384 x 16384 pixels; scale it down")
     if data[:4] == b"\x89PNG" and height * (1 + width * least // 8) > _DEEPEST * len(data):
         raise ValueError(f"it is cut off: {len(data)} bytes cannot hold {width} x {height} pixels")
-    what = f"{model}: texture '{name}' of {width} x {height} pixels"
-    memory.require(_BYTES_PER_PIXEL * width * height, what, "scale it down")
+    require_pixels(height, width, f"{model}: texture '{name}'")
+
+
+def require_pixels(height: int, width: int, what: str, others: int = 0) -> int:
+    """
+    Bytes that an image takes as it is decoded and made linear, with ``others``; raises where they are not left.
+    """
+    needed = _BYTES_PER_PIXEL * width * height + others
+    memory.require(needed, f"{what} of {width} x {height} pixels", "scale it down")
+    return needed
 
 
 def _is_deep_color_png(data: bytes) -> bool:

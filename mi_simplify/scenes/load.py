@@ -77,7 +77,8 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
     except _MALFORMED as error:
         what = shown(f"{type(error).__name__}: {error}".splitlines()[0], 200)
         raise AssetError(f"{path.name}: the file is malformed and cannot be read ({what}); export it again") from error
-    return replace(asset, name=path.stem, source=str(path))
+    notes = tuple(shown(note, 400) for note in asset.notes)
+    return replace(asset, name=path.stem, source=str(path), notes=notes)
 
 
 #: What readers run into when a file's parts do not fit together. Other exceptions are defects and keep their traceback.

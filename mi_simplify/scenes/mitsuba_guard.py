@@ -13,8 +13,9 @@ from xml.etree import ElementTree
 
 import mitsuba as mi
 
+from .. import memory
 from ..errors import AssetError
-from .images import check_image
+from .images import check_image, require_pixels
 from .resources import Resources, is_file, read_bytes, shown
 
 #: Files that a scene may include, each counted as often as it is.
@@ -22,6 +23,9 @@ MAX_INCLUDES = 256
 
 #: Plugins whose ``filename`` is an image.
 _IMAGES = ("bitmap", "envmap")
+
+#: Memory that any other file takes, over its own size.
+_LOADED = 4
 
 
 def check_text(path: Path) -> None:
@@ -76,6 +80,7 @@ def check_plugins(path: Path, properties: Iterable[tuple[str, dict[str, Any]]]) 
     """
     resources = Resources(path, [])
     own = Path(mi.__file__).resolve().parent
+    total = 0  # bytes of all that will be loaded
     for plugin, values in properties:
         for suffix in (".so", ".dylib", ".dll"):
             library = Path(str(mi.file_resolver().resolve(f"plugins/{plugin}{suffix}")))
@@ -92,4 +97,8 @@ def check_plugins(path: Path, properties: Iterable[tuple[str, dict[str, Any]]]) 
             if not resources.holds(found):
                 raise resources.outside(value, f"{name} of '{plugin}'")
             if name == "filename" and plugin in _IMAGES:
-                check_image(read_bytes(found, f"{path.name}: texture"), value, path.name)
+                width, height = check_image(read_bytes(found, f"{path.name}: texture"), value, path.name)
+                total = require_pixels(height, width, f"{path.name}: texture '{shown(value)}'", total)
+            elif name == "filename":
+                total += _LOADED * found.stat().st_size
+                memory.require(total, f"{path.name}: '{shown(value)}' with what the scene names before it", "split it")

@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import memory
 from ..errors import AssetError, MeshError
-from .asset import FEWER_INSTANCES, PER_INSTANCE, Asset, Instance, Part
+from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Part
 from .gltf_file import GltfFile
 from .gltf_material import read_material
 from .images import constant
@@ -124,6 +124,7 @@ class _Scene:
             raise MeshError(f"{file.name}: positions of '{name}' are no 3D vectors; export the file again")
         index = primitive.get("indices")
         index = np.arange(len(vertices)) if index is None else file.accessor(index).astype(np.int64)
+        memory.require(PER_CORNER * len(index), f"{file.name}: '{name}' of {len(index):,} corners", FEWER_INSTANCES)
         check_indices(index, len(vertices), file.name, name)
         faces = _triangles(index, mode)
         if not len(faces):

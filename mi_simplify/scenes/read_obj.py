@@ -126,12 +126,15 @@ def _owners(lines: _Lines, faces: _Faces, resources: Resources) -> tuple[dict, n
     Materials by name, an index into the keys for every face, and the keys (object number, part name, material name).
     """
     materials: dict[str, Material] = {}
+    libraries: set[str] = set()
     obj, obj_name, material = 0, resources.model.stem, ""
     keys: dict[tuple, int] = {(0, obj_name, ""): 0}
     at, owner = [-1], [0]
     for line, keyword, value in lines.state():
         if keyword == "mtllib":
-            materials.update(read_mtl(value, resources))
+            if value not in libraries:
+                materials.update(read_mtl(value, resources))
+            libraries.add(value)
             continue
         if keyword == "o":
             obj, obj_name = obj + 1, value or f"object_{obj + 1}"

@@ -15,7 +15,7 @@ from pxr import Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
 
 from .. import memory
 from ..errors import AssetError, MeshError
-from .asset import FEWER_INSTANCES, PER_INSTANCE, Asset, Instance, Material, Part
+from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Material, Part
 from .mapping import Mapping
 from .polygons import fan, smooth_normals, split_corners, unique_rows
 from .resources import Resources
@@ -186,6 +186,7 @@ class _Stage:
             raise MeshError(
                 f"{model}: the faces of part '{name}' ask for {counts.sum()} indices, there are {len(index)}"
             )
+        memory.require(PER_CORNER * len(index), f"{model}: '{name}' of {len(index):,} corners", FEWER_INSTANCES)
         check_indices(index, len(points), model, name)
         if mesh.GetSubdivisionSchemeAttr().Get() not in (None, "none"):
             scheme = mesh.GetSubdivisionSchemeAttr().Get()

@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import memory
 from ..errors import AssetError
-from .images import decode_image
+from .images import decode_image, require_pixels
 
 #: Environment variable that names a folder, further up than the model's own, which a model's files may lie in.
 ROOT = "MI_SIMPLIFY_ASSET_ROOT"
@@ -125,9 +125,15 @@ class Resources:
     def embedded_image(self, key: object, data, name: str) -> np.ndarray:
         """
         Decode the image that ``data()`` returns as bytes, once for each ``key``.
+
+        Raises
+        ------
+        MemoryLimitError
+            There is no room for what a material makes of it; each one makes its own.
         """
         if key not in self._images:
             self._images[key] = decode_image(data(), name, self.model.name)
+        require_pixels(*self._images[key].shape[:2], f"{self.model.name}: texture '{shown(name)}'")
         return self._images[key]
 
     def note(self, line: str) -> None:

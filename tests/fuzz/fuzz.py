@@ -39,6 +39,7 @@ from mi_simplify.scenes.load import load_asset  # noqa: E402
 
 LONGEST = 10.0  # [s] for one input
 LARGEST = 2 << 30  # [bytes] that a worker may hold
+RESULT, REFUSED = "result", "refused"
 _ADDRESSES = 8 << 30  # [bytes] a worker may reserve, so that a finding does not take the machine down
 _BEFORE_A_NEW_WORKER = 2000  # inputs; the peak of a process's memory never falls again
 
@@ -74,10 +75,11 @@ def read(entry: Path) -> None:
     decimate(soup.positions, soup.position_faces, 8)
 
 
-def outcome(entry: Path) -> str | None:
+def outcome(entry: Path) -> str:
     """
-    None where a file ends as it should, else what is wrong.
+    ``RESULT`` or ``REFUSED`` where a file ends as it should, else what is wrong.
     """
+    verdict = RESULT
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
         with warnings.catch_warnings(action="error"), limited(LARGEST):
@@ -88,12 +90,13 @@ def outcome(entry: Path) -> str | None:
             return f"the message is not one line: {text[:160]!r} … {text[-80:]!r}, {len(text)} characters"
         if isinstance(error.__cause__, MemoryError):
             return f"out of memory: {text[:300]}"
+        verdict = REFUSED
     except Exception as error:
         own = [f for f in traceback.extract_tb(error.__traceback__) if "mi_simplify" in f.filename]
         where = f" at {Path(own[-1].filename).name}:{own[-1].lineno}" if own else ""
         return f"{type(error).__name__}{where}: {str(error)[:200]}"
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return f"{peak >> 20} GB of memory" if peak << 10 > LARGEST and peak > before else None
+    return f"{peak >> 20} GB of memory" if peak << 10 > LARGEST and peak > before else verdict
 
 
 def _work(numbers: range, arguments: argparse.Namespace, current, results) -> None:
@@ -121,7 +124,7 @@ def run(arguments: argparse.Namespace) -> list[tuple[int, str, str]]:
     """
     context = multiprocessing.get_context("fork")  # nothing has started a thread yet
     findings: list[tuple[int, str, str]] = []
-    done: collections.Counter[str] = collections.Counter()
+    done: collections.Counter[tuple[str, bool]] = collections.Counter()
     begin, stop = time.monotonic(), arguments.start + arguments.inputs
     number = arguments.start
     results = context.SimpleQueue()
@@ -130,8 +133,8 @@ def run(arguments: argparse.Namespace) -> list[tuple[int, str, str]]:
     def drain() -> None:
         while not results.empty():
             _, kind, finding = result = results.get()
-            done[kind] += 1
-            if finding:
+            done[kind, finding == RESULT] += 1
+            if finding not in (RESULT, REFUSED):
                 findings.append(result)
                 print(*result, flush=True)
 
@@ -169,8 +172,10 @@ def run(arguments: argparse.Namespace) -> list[tuple[int, str, str]]:
         number = at + 1
     seconds = time.monotonic() - begin
     total = sum(done.values())
-    kinds = ", ".join(f"{kind} {n}" for kind, n in sorted(done.items()))
-    print(f"{total} inputs in {seconds:.0f} s ({total / seconds:.0f} a second), {len(findings)} findings ({kinds})")
+    print(f"{total} inputs in {seconds:.0f} s ({total / seconds:.0f} a second), {len(findings)} findings")
+    for kind in sorted({kind for kind, _ in done}):
+        good, refused = done[kind, True], done[kind, False]
+        print(f"{kind:10}  {good + refused} inputs, {good} gave a result")
     return findings
 
 
