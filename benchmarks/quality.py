@@ -4,7 +4,7 @@ Results beside the baselines, end to end, as an independent program judges the e
     .venv/bin/python benchmarks/quality.py --assets ../shared/assets --judge ../shared/tools/judge.py
 
 Every case is run once and kept in --out (out/quality); those that are there already are not run again, unless named
-by --only. docs/results.md and its pictures are written from all that is there.
+by --only. The table and the pictures of docs/results.md are written from all that is there.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy as np
 import mi_simplify as ms
 
 ROOT = Path(__file__).resolve().parents[1]
+BEGIN, END = "<!-- figures: benchmarks/quality.py -->", "<!-- end of figures -->"
 FIGURES = ("psnr", "flip", "silhouette_error")
 
 
@@ -136,14 +137,9 @@ def slug(name: str) -> str:
 
 def write_page(records: dict[str, dict], page: Path) -> None:
     """
-    The table, a picture a case, and how to make them again.
+    The table, and a picture for every case.
     """
     lines = [
-        "# Results", "",
-        "Exported `model.glb` files, path traced by a program that shares no code with this one, under light that the "
-        "fit never saw: PSNR [dB] / FLIP / silhouette error. *Quadrics* is fast-simplification's mesh with textures "
-        "from our baker (base colour, roughness, metal, normals), *first guess* our own decimation with such textures: "
-        "what the fit starts from. Preset `balanced`, 1024² textures, 2 cores.", "",
         "| case | asked for | quadrics, baked | first guess | result | gain over the first guess | seconds |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
@@ -162,9 +158,8 @@ def write_page(records: dict[str, dict], page: Path) -> None:
     for case in CASES:
         if case.name in records:
             lines += ["", f"## {case.name} triangles", "", f"![{case.name}](images/results-{slug(case.name)}.jpg)"]
-    lines += ["", "Rows: reference, quadrics with baked textures, first guess, result.", "", "## Command", ""]
-    lines += ["    .venv/bin/python benchmarks/quality.py --assets ASSETS --judge JUDGE", ""]
-    page.write_text("\n".join(lines))
+    before, _, rest = page.read_text().partition(BEGIN)
+    page.write_text(before + "\n".join([BEGIN, "", *lines, "", END]) + rest.partition(END)[2])
 
 
 def shown(row) -> str:
