@@ -402,6 +402,20 @@ def test_mitsuba_images_and_includes_are_bounded(folders):
     refused(write(inside / "a.xml", f'<scene version="3.0.0">{mesh}</scene>'), "big.ply", UserError)
 
 
+def test_a_message_of_the_library_may_be_endless(tmp_path):
+    """Brackets that do not close are repeated on every level of its message: found by the fuzzer."""
+    write(tmp_path / "below.usda", "#usda 1.0\n" + TRIANGLE.replace("[(0, 0", "[" + "(" * 6000 + "(0, 0"))
+    path = write(tmp_path / "a.usda", "#usda 1.0\n(\n    subLayers = [@./below.usda@]\n)\n" + TRIANGLE)
+    refused(path, "it refers to '.*below.usda', which cannot be opened: Tuple nesting too deep", UserError)
+
+
+def test_a_size_that_another_reader_sees_elsewhere(tmp_path):
+    """Ours was found further down than the line that Mitsuba reads: found by the fuzzer."""
+    data = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 200000000x\n\n-Y 2 +X 2\n" + bytes(100)
+    with pytest.raises(AssetError, match="its header has no size"):
+        decode_image(data, "a.hdr", "model.obj")
+
+
 def test_special_files_are_no_models(tmp_path):
     os.mkfifo(tmp_path / "a.obj")
     refused(tmp_path / "a.obj", "is no file")
@@ -449,3 +463,65 @@ def test_a_library_is_read_once(tmp_path):
     begin = time.monotonic()
     assert load_asset(path).parts[0].material.name == "paint"
     assert time.monotonic() - begin < 10
+
+
+# --- what the fuzzer found -------------------------------------------------------------------------------------------
+
+
+def test_numbers_that_no_float_holds(tmp_path):
+    """They are mended with a note, or refused; warnings of NumPy would fail this test."""
+    text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 1e300 0\nvt 1 nan\nvt 1 1\nvn 1e30 0 1e30\nusemtl p\nf 1/1/1 2/2/1 3/3/1\n"
+    write(tmp_path / "a.mtl", "newmtl p\nKd 1e300 1 1\nPr 1e300\nd 1e300\n")
+    asset = load_asset(write(tmp_path / "a.obj", "mtllib a.mtl\n" + text))
+    part = asset.parts[0]
+    np.testing.assert_allclose(part.normals, [[0.5**0.5, 0, 0.5**0.5]] * 3, atol=1e-6)
+    np.testing.assert_array_equal(np.sort(part.uvs, axis=0), [[0, 0], [1, 0], [1, 1]])
+    assert np.isfinite(part.material.base_color).all() and "texture coordinates" in asset.notes[-1]
+
+
+@pytest.mark.parametrize("index", ["nan", "1e300", "inf", "-1", "0.5e10"])
+def test_indices_that_are_none(tmp_path, index):
+    text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    text += "element face 1\nproperty list uchar float vertex_indices\nend_header\n0 0 0 1 0 0 0 1 0 3 0 1 "
+    refused(write(tmp_path / "a.ply", text + index + "\n"), "no index|refers to vertex", UserError)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "match"),
+    [
+        ("NORMAL", np.ones((4, 4), "f4"), r"the normals of part 'quad' have the shape \(4, 4\)"),
+        ("TEXCOORD_0", np.ones((4, 3), "f4"), r"the texture coordinates of part 'quad' have the shape \(4, 3\)"),
+        ("COLOR_0", np.ones((4, 2), "f4"), r"the colours of part 'quad' have the shape \(4, 2\)"),
+    ],
+)
+def test_attributes_of_a_wrong_width(tmp_path, key, value, match):
+    glb = Glb()
+    glb.mesh(glb.quad(**{key: value}))
+    refused(glb.save(tmp_path / "a.glb"), match, UserError)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_factors_that_are_not_finite(tmp_path, value):
+    for pbr in ({"baseColorFactor": [1, value, 1, 1]}, {"roughnessFactor": value}, {"metallicFactor": value}):
+        glb = Glb()
+        glb.material(name="m", pbrMetallicRoughness=pbr)
+        glb.mesh(glb.quad(0))
+        refused(glb.save(tmp_path / "a.glb"), f"{next(iter(pbr))} of material 'm' is not finite")
+
+
+def test_a_skin_that_is_not_finite(tmp_path):
+    glb = Glb()
+    weights = np.tile(np.float32([np.inf, 0, 0, 0]), (4, 1))
+    glb.mesh(glb.quad(JOINTS_0=np.zeros((4, 4), "u1"), WEIGHTS_0=weights))
+    glb.json["skins"] = [{"joints": [0]}]
+    glb.nodes({}, {"mesh": 0, "skin": 0})
+    refused(glb.save(tmp_path / "a.glb"), "the skin of 'node_1' is not finite", UserError)
+
+
+def test_whatever_a_decoder_raises_is_one_line(monkeypatch):
+    def raises(*args, **kwargs):
+        raise AssertionError
+
+    monkeypatch.setattr("PIL.Image.open", raises)
+    with pytest.raises(AssetError, match="model.obj: texture 'a.png' cannot be read: AssertionError"):
+        decode_image(png(corner_pixels()), "a.png", "model.obj")

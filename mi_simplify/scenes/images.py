@@ -112,7 +112,8 @@ def _header_size(data: bytes) -> tuple[int, int]:
         x0, y0, x1, y1 = struct.unpack_from("<4i", data, at)
         return x1 - x0 + 1, y1 - y0 + 1
     if data[:2] == b"#?":
-        found = re.search(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", data[:65536])
+        _, _, body = data.partition(b"\n\n")
+        found = re.match(rb"[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", body)
         return (int(found[2]), int(found[1])) if found else (0, 0)
     return struct.unpack_from(">2I", data, 16)
 

@@ -19,7 +19,7 @@ from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, M
 from .mapping import Mapping
 from .polygons import fan, smooth_normals, split_corners, unique_rows
 from .resources import Resources
-from .usd_layers import check_layers, rehearse
+from .usd_layers import LONGEST, check_layers, reason_of, rehearse
 from .usd_material import display_material, read_usd_material
 from .validate import check_indices
 
@@ -56,20 +56,14 @@ def read_usd(path: Path) -> Asset:
         asset = _Stage(stage, resources).read()
         _note_diagnostics(diagnostics, resources)
     except Tf.ErrorException as error:
-        found = re.search(r"in file .*? : '(.+?)'\s*(?:\n|$)", str(error), re.DOTALL)
-        reason = re.sub(r"pxrInternal\w*?__(::|_)|\s+", _space_of, found[1] if found else str(error))
-        raise AssetError(f"{path.name}: USD cannot read it: {reason[:200]}") from error
+        raise AssetError(f"{path.name}: USD cannot read it: {reason_of(error)}") from error
     return Asset(asset.parts, asset.instances, notes=tuple(notes))
-
-
-def _space_of(found: re.Match) -> str:
-    """Nothing for the library's internal namespaces, one blank for any white space."""
-    return " " if found[0].isspace() else ""
 
 
 def _note_diagnostics(delegate: UsdUtils.CoalescingDiagnosticDelegate, resources: Resources) -> None:
     for item in delegate.TakeUncoalescedDiagnostics():
-        line = " ".join(re.sub(r"\(instantiating stage.*|:SDF_FORMAT_ARGS:[^@]*", "", item.commentary).split())
+        text = item.commentary[:LONGEST]
+        line = " ".join(re.sub(r"\(instantiating stage.*|:SDF_FORMAT_ARGS:[^@]*", "", text).split())
         missing = re.search(r"Could not open asset @([^@]+)@", line)
         if missing and "Cannot determine file format" not in line:
             reason = line.removeprefix(f"{missing[0]} for ")

@@ -7,6 +7,7 @@ what is parsed in C++ may end the process. So a worker goes first, under limits,
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,9 @@ from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 from .. import memory
 from ..errors import AssetError, MemoryLimitError, UserError
 from .resources import Resources
+
+#: Characters of a message that are looked at: a damaged file of 16 KB makes 130 million.
+LONGEST = 4000
 
 #: Prims, instances counted each, beyond which a stage is refused.
 MAX_PRIMS = 1_000_000
@@ -64,14 +68,18 @@ def check_layers(path: Path, resources: Resources) -> None:
     Raises
     ------
     AssetError
-        A path leads out, or is an expression, which could.
+        A path leads out, or is an expression, which could; a layer cannot be read.
     """
     todo, seen = [str(path)], set()
     while todo:
+        name = todo.pop()
         try:
-            layer = Sdf.Layer.FindOrOpen(todo.pop())
-        except Tf.ErrorException:
-            continue  # what cannot be opened is told when the stage is composed
+            layer = Sdf.Layer.FindOrOpen(name)
+        except Tf.ErrorException as error:
+            if not seen:
+                raise
+            reason = reason_of(error)
+            raise AssetError(f"{path.name}: it refers to '{name}', which cannot be opened: {reason}") from error
         if not layer or layer.identifier in seen:
             continue
         seen.add(layer.identifier)
@@ -88,6 +96,20 @@ def check_layers(path: Path, resources: Resources) -> None:
                 raise resources.outside(name, "layer" if name in composed else "file")
             if found and name in composed and Sdf.FileFormat.FindByExtension(found):
                 todo.append(found)
+
+
+def reason_of(error: Tf.ErrorException) -> str:
+    """
+    What a message of the library says, as one line.
+    """
+    text = str(error)[:LONGEST]
+    found = re.search(r"in file .*? : '(.+?)(?:'\s*(?:\n|$)|\Z)", text, re.DOTALL)
+    return re.sub(r"pxrInternal\w*?__(::|_)|\s+", _space_of, found[1] if found else text)[:200]
+
+
+def _space_of(found: re.Match) -> str:
+    """Nothing for the library's internal namespaces, one blank for any white space."""
+    return " " if found[0].isspace() else ""
 
 
 def _work(path: str, room: int) -> int:
