@@ -203,6 +203,10 @@ def test_yaml_builds_no_objects(tmp_path, value):
 
 
 def test_yaml_does_not_multiply(tmp_path):
+    for text in ("preset: " + "x" * 5000, f"asset: *{'x' * 5000}", f"{'x' * 5000}: 1\n" * 2, f"asset: !{'x' * 5000} 1"):
+        with pytest.raises(ConfigError) as error:
+            load_config(write(tmp_path / "job.yaml", text))
+        assert len(str(error.value)) < 600
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 12)]
     for text in ("\n".join(lines), "a: " + "[" * 5000, "a: " + "{a: " * 3000):

@@ -58,7 +58,7 @@ def load_config(
     if name is not None:
         if not isinstance(name, str) or name not in PRESETS:
             hint = nearest(str(name), PRESETS)
-            raise ConfigError(f"preset: unknown preset {name!r}{hint}; one of {', '.join(PRESETS)}")
+            raise ConfigError(f"preset: unknown preset {name!r:.60}{hint}; one of {', '.join(PRESETS)}")
         merged = _merge(PRESETS[name], merged)
     initial = merged.get("initial")
     kind = initial.get("kind") if isinstance(initial, Mapping) else None
@@ -122,7 +122,7 @@ def _parse_yaml(text: str, origin: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or str(error).split("\n")[0] or type(error).__name__
-        raise ConfigError(f"{origin}{where}: not valid YAML: {problem}") from None
+        raise ConfigError(f"{origin}{where}: not valid YAML: {problem:.200}") from None
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:

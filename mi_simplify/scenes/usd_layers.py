@@ -7,6 +7,7 @@ what is parsed in C++ may end the process. So a worker goes first, under limits,
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -118,9 +119,12 @@ def _work(path: str, room: int) -> int:
         try:
             import resource
 
-            resource.setrlimit(resource.RLIMIT_AS, (room, room))
+            # Addresses, of which libraries and the stacks and heaps of threads reserve many that they never fill.
+            reserved = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+            limit = reserved + (os.cpu_count() or 1) * (128 << 20) + room
+            resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
             resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        except (ImportError, ValueError, OSError):  # Windows has no such limits
+        except (ImportError, ValueError, OSError):  # Windows and macOS have no such limits
             pass
     try:
         check_layers(Path(path), Resources(Path(path), []))
