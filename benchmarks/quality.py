@@ -116,18 +116,12 @@ def quadrics(path: Path, triangles: int) -> ms.Model:
     """
     fast-simplification's mesh with our baker's textures: what a user can have for free.
     """
-    import fast_simplification
-
-    from mi_simplify.initial.cleanup import clean, merge
+    from mi_simplify.initial.guess import fast_quadrics
     from mi_simplify.scenes.asset import Asset, Instance, Part
 
     asset = ms.load_asset(path)
-    soup, _ = clean(merge(asset))
-    points, faces = fast_simplification.simplify(
-        np.float32(soup.positions), np.int32(soup.position_faces), target_count=triangles
-    )
-    part = Part(np.float64(points), np.int64(faces))
-    low = Asset((part,), (Instance(0),))
+    positions, faces, _ = fast_quadrics(asset, triangles)
+    low = Asset((Part(positions, faces),), (Instance(0),))
     return ms.first_guess(asset, kind="mesh", init=low)[0]
 
 

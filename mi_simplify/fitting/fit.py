@@ -42,7 +42,7 @@ class Fit:
     def __init__(self, model: Model, reference: Reference, config: Config):
         self.config, self.first_guess = config, model
         optimize, rates = set(config.latent.optimize), config.optimizer.rates
-        extended = bool(optimize & {"opacity", "gamma"}) or model.alpha_mode != "OPAQUE" or model.specular[..., 0].any()
+        extended = optimize & {"opacity", "gamma"} or model.alpha_mode != "OPAQUE" or model.specular[..., 0].any()
         self.latent = Latent(model, extended=bool(extended))
         mesh = self.latent.topology.mesh
         matched = config.reference.transport == "matched"
