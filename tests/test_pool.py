@@ -24,7 +24,7 @@ class Counting:
 
 
 def draw(n, rng, resolution):
-    return goniometer(n, rng, width=resolution, height=resolution)
+    return [goniometer(n, rng, width=resolution, height=resolution)]
 
 
 def pool(capacity=5, seed=0, reference=None, **kwargs):

@@ -14,6 +14,8 @@ from ..config import Config
 from ..integrators.deferred import DeferredRenderer
 from ..latent.latent import Latent
 from ..latent.model import Model
+from ..latent.surface import Surface
+from ..latent.textures import Textures
 from ..scenes.reference import Reference
 from ..scenes.views import Views, goniometer
 from ..upload import upload
@@ -22,8 +24,8 @@ from .losses import frame_loss, image_loss, srgb
 from .pool import ViewPool
 from .residual import PathResidual
 from .schedules import exponential, laplacian_weight, resolution_at
+from .shape import ShapeSteps
 from .texels import TexelAdam
-from .vertices import VertexSteps
 
 
 class Fit:
@@ -44,21 +46,19 @@ class Fit:
         optimize, rates = set(config.latent.optimize), config.optimizer.rates
         extended = optimize & {"opacity", "gamma"} or model.alpha_mode != "OPAQUE" or model.specular[..., 0].any()
         self.latent = Latent(model, extended=bool(extended))
-        mesh = self.latent.topology.mesh
+        base = self.latent.operation.base
         matched = config.reference.transport == "matched"
         self.renderer = DeferredRenderer(self.latent.topology, form=config.latent.shading, shadows=matched)
         large_steps = config.optimizer.large_steps
-        self.vertices = VertexSteps(
-            mesh.positions, mesh.position_faces, rates.vertices, large_steps.lambda_ if large_steps.enabled else 0.0
-        )
-        self.moves = "vertices" in optimize
+        diffusion = large_steps.lambda_ if large_steps.enabled else 0.0
+        self.shape = ShapeSteps(self.latent.operation, optimize, dict(rates), diffusion)
         color_rates = dict.fromkeys(("base_color", "opacity"), rates.base_color)
         specular_rates = dict.fromkeys(("gamma", "roughness", "metallic"), rates.specular)
         texel_rates = {**color_rates, **specular_rates, "normal": rates.normal}
         self.texels = TexelAdam(
             self.latent.textures, {k: v for k, v in texel_rates.items() if k in optimize}, config.latent.min_roughness
         )
-        self.laplacian = Laplacian(mesh.position_faces, mesh.positions, config.loss.laplacian.relative)
+        self.laplacian = Laplacian(base.position_faces, base.positions, config.loss.laplacian.relative)
         self.loss = image_loss(config.loss.image)
         self._coverage = dr.opaque(mi.Float, config.loss.coverage)
         self._laplacian_start: float | None = None
@@ -79,7 +79,7 @@ class Fit:
         self.pool = ViewPool(reference, draw, config.reference.pool, np.random.default_rng(config.seed), residual)
         held_out = config.evaluation
         resolution = min(held_out.resolution, max(config.optimizer.resolution))
-        self.held_out = draw(min(held_out.views, 8), np.random.default_rng(config.seed + 1), resolution)
+        (self.held_out,) = draw(min(held_out.views, 8), np.random.default_rng(config.seed + 1), resolution)
         images = np.mean([reference.render(self.held_out, seed=k + 1) for k in range(_HELD_OUT_RENDERS)], axis=0)
         self._unknown = np.isnan(images).any(axis=3)[..., None]
         self._held_out_images = np.where(self._unknown, 0, images)
@@ -98,28 +98,24 @@ class Fit:
         views, reference, residual = self.pool.batch(batch)
         seed = dr.opaque(mi.UInt32, (config.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
 
-        positions = self.vertices.positions()
-        leaf = mi.Float(dr.detach(positions))
-        if self.moves:
-            self.renderer.move(leaf)
-            dr.enable_grad(leaf)
-        surface = self.latent.evaluate(leaf)
+        pose = self.shape.pose(views)
+        self.renderer.move(dr.detach(pose.positions))
+        surface = self.latent.evaluate(pose.positions)
         spp = max(config.optimizer.spp, min(_CAREFUL_SPP, round(config.optimizer.spp / self.caution)))
         frame = self.renderer.render(surface, self.latent.textures, views, spp=spp, seed=seed)
 
         background = self._background(dr.width(frame.image), seed)
         loss, grad_image = frame_loss(frame.image + residual, reference, background, self.loss, self._coverage)
         texel_grad = self.renderer.backward(
-            frame, grad_image, surface, self.latent.textures, leaf, seed ^ dr.opaque(mi.UInt32, 0x5BD1E995)
+            frame, grad_image, surface, self.latent.textures, pose.positions, seed ^ dr.opaque(mi.UInt32, 0x5BD1E995)
         )
         del frame  # its graph holds on to the textures, which then could not be written in place
-        if self.moves and config.loss.laplacian.weight > 0:
-            dr.backward(self.laplacian.loss(leaf) * self._laplacian_weight(loss, progress))
+        if dr.grad_enabled(pose.base) and config.loss.laplacian.weight > 0:
+            dr.backward(self.laplacian.loss(pose.base) * self._laplacian_weight(loss, progress))
         factor = self.caution * exponential(progress, config.optimizer.decay)
         if texel_grad is not None:
             self.texels.step(texel_grad, dr.opaque(mi.Float, factor))
-        if self.moves:
-            self.vertices.step(dr.grad(leaf), positions, factor)
+        self.shape.step(pose, factor)
         return loss
 
     def _laplacian_weight(self, loss: mi.Float, progress: float) -> mi.Float:
@@ -136,20 +132,28 @@ class Fit:
         c, _ = mi.sample_tea_32(pixel, seed + 18, 6)
         return mi.Color3f(*(mi.Float(x) * 2.0**-32 for x in (a, b, c)))
 
-    def _state(self):
+    def _moved(self, views: Views) -> tuple[mi.Float, Surface]:
+        """The current shape as views of one frame show it, which the renderer then holds."""
         with dr.suspend_grad():
-            positions = self.vertices.positions()
+            positions = self.shape.positions(views)
             self.renderer.move(positions)
-            return self.latent.model(positions.numpy()), self.latent.evaluate(positions), self.latent.textures
+            return positions, self.latent.evaluate(positions)
+
+    def _state(self, views: Views) -> tuple[Model, Surface, Textures]:
+        positions, surface = self._moved(views)
+        return self.latent.shown(positions.numpy()), surface, self.latent.textures
 
     def _look(self, views: Views, seed: int = 1) -> np.ndarray:
         """The current state from some views, shape (B, H, W, 4), without what the reference alone computes."""
-        with dr.suspend_grad():
-            positions = self.vertices.positions()
-            self.renderer.move(positions)
-            surface, seed = self.latent.evaluate(positions), dr.opaque(mi.UInt32, seed)
-            frame = self.renderer.render(surface, self.latent.textures, views, spp=16, seed=seed)
-        return frame.image.numpy().T.reshape(len(views), views.height, views.width, 4)
+        out = np.empty((len(views), views.height, views.width, 4), np.float32)
+        for index, part in views.by_frame():
+            _, surface = self._moved(part)
+            with dr.suspend_grad():
+                frame = self.renderer.render(
+                    surface, self.latent.textures, part, spp=16, seed=dr.opaque(mi.UInt32, seed)
+                )
+            out[index] = frame.image.numpy().T.reshape(len(part), *out.shape[1:])
+        return out
 
     def preview(self) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -188,20 +192,20 @@ class Fit:
         """
         The current state as a model; what is not optimised is the first guess's own.
         """
-        fitted = self.latent.model(dr.detach(self.vertices.positions()).numpy())
+        fitted = self.latent.model(*self.shape.values())
         return self.first_guess.taking(fitted, self.config.latent.optimize)
 
     def parameters(self) -> dict[str, np.ndarray]:
         """
         What is optimised, as copies.
         """
-        return {"u": self.vertices.state()["u"], "data": self.latent.textures.data.numpy().copy()}
+        return {**self.shape.parameters(), "data": self.latent.textures.data.numpy().copy()}
 
     def take(self, parameters: dict[str, np.ndarray]) -> None:
         """
         Go on from earlier :meth:`parameters`, with nothing remembered of the steps since.
         """
-        self.vertices.restart(parameters["u"])
+        self.shape.restart(parameters)
         self.texels.restart(parameters["data"])
 
     def retreat(self, parameters: dict[str, np.ndarray]) -> None:
@@ -217,15 +221,14 @@ class Fit:
         """
         Which of what is optimised is no longer finite, None where all is well; waits for the device.
         """
-        parts = {"vertices": self.vertices, "textures": self.texels}
-        return next((name for name, part in parts.items() if not part.is_finite()), None)
+        return self.shape.trouble() or (None if self.texels.is_finite() else "textures")
 
     def state(self) -> dict:
         """
         All that later steps depend on, as copies: nested dicts of arrays and plain values.
         """
         return {
-            "vertices": self.vertices.state(), "texels": self.texels.state(), "pool": self.pool.state(),
+            "shape": self.shape.state(), "texels": self.texels.state(), "pool": self.pool.state(),
             "laplacian_start": self._laplacian_start, "caution": self.caution,
         }  # fmt: skip
 
@@ -233,17 +236,18 @@ class Fit:
         """
         Inverse of :meth:`state`: the steps that follow are those that would have followed there.
         """
-        self.vertices.restore(state["vertices"])
+        self.shape.restore(state["shape"])
         self.texels.restore(state["texels"])
         self.pool.restore(state["pool"])
         self._laplacian_start, self.caution = state["laplacian_start"], state["caution"]
 
 
-def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance):
-    return goniometer(
+def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance) -> list[Views]:
+    views = goniometer(
         n, rng, width=resolution, height=resolution, distance=distance, jitter=jitter, fov=fov,
         light_exponent=exponent, irradiance=irradiance,
     )  # fmt: skip
+    return [views]
 
 
 #: Steps between two renewals of the pool: fewer, larger ones cost less.

@@ -24,11 +24,15 @@ class ViewPool:
     """
     A ring of views with their reference images.
 
+    Views of one *instant* share the frame of the animation and the film size, so that one surface and one kernel shows
+    all of them; a batch is of one instant.
+
     Parameters
     ----------
     reference : Reference
     draw : callable
-        ``draw(n, rng, resolution) -> Views``: random views, square of this side.
+        ``draw(n, rng, resolution) -> list of Views``: ``n`` random views for images of this side, or of sides below it;
+        each item is of one film size.
     capacity : int
         Views held at most.
     rng : numpy.random.Generator
@@ -62,9 +66,11 @@ class ViewPool:
         if resolution != self.resolution:
             self.clear()
             self.resolution = resolution
-        if n == 0:
-            return
-        views = self.draw(n, self.rng, resolution)
+        for views in self.draw(n, self.rng, resolution) if n else ():
+            self._take_in(views)
+
+    def _take_in(self, views: Views) -> None:
+        n = len(views)
         seed = int(self.rng.integers(2**31))
         images = self.reference.render(views, seed)
         if self.residual is not None:
@@ -73,7 +79,8 @@ class ViewPool:
         # A point light in a mirror is brighter than half precision goes, and infinity would spread to everything.
         images = np.clip(images, -_HALF_MAX, _HALF_MAX).astype(np.float16)
         planes = np.moveaxis(images, 3, 1).reshape(n, images.shape[3], -1)
-        arrays = views.arrays()
+        size = {"width": np.full(n, views.width), "height": np.full(n, views.height)}
+        arrays = views.arrays() | size
         for k in range(n):
             view, image = {key: value[k] for key, value in arrays.items()}, planes[k].copy()
             if len(self._images) < self.capacity:
@@ -106,7 +113,8 @@ class ViewPool:
         views = {name: np.array([view[name] for view in self._views]) for name in names}
         return {
             "rng": self.rng.bit_generator.state, "resolution": self.resolution, "next": self._next,
-            "n_rendered": self.n_rendered, "views": views, "images": np.array(self._images),
+            "n_rendered": self.n_rendered, "views": views, "channels": len(self._images[0]) if self._images else 0,
+            "images": np.concatenate([np.zeros(0, np.float16), *map(np.ravel, self._images)]),
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
@@ -115,8 +123,11 @@ class ViewPool:
         """
         self.rng.bit_generator.state = state["rng"]
         self.resolution, self._next, self.n_rendered = (state[key] for key in ("resolution", "next", "n_rendered"))
-        self._images = list(state["images"])
-        self._views = [{key: rows[k] for key, rows in state["views"].items()} for k in range(len(self))]
+        n = len(next(iter(state["views"].values()), ()))
+        self._views = [{key: rows[k] for key, rows in state["views"].items()} for k in range(n)]
+        ends = np.cumsum([state["channels"] * int(v["width"] * v["height"]) for v in self._views], dtype=np.int64)
+        images = np.split(state["images"], ends[:-1])[:n]
+        self._images = [image.reshape(state["channels"], -1) for image in images]
 
     def clear(self) -> None:
         """
@@ -126,11 +137,15 @@ class ViewPool:
 
     def batch(self, n: int) -> tuple[Views, mi.Vector4f, mi.Vector4f]:
         """
-        ``n`` different views of the pool (some twice if it holds fewer), their images and residuals, width ``n·H·W``.
+        ``n`` different views of one instant (some twice if the pool holds fewer), their images and residuals, width
+        ``n·H·W``. Instants come up as often as there are views of them.
         """
-        pick = self.rng.choice(len(self._images), size=n, replace=len(self._images) < n)
+        instants = [tuple(view[key] for key in ("frame", "width", "height")) for view in self._views]
+        instant = instants[self.rng.integers(len(instants))]
+        same = [k for k, other in enumerate(instants) if other == instant]
+        pick = self.rng.choice(same, size=n, replace=len(same) < n)
         arrays = {key: np.stack([self._views[i][key] for i in pick]) for key in self._views[0]}
-        views = Views.from_arrays(arrays, self.resolution, self.resolution)
+        views = Views.from_arrays(arrays, int(instant[1]), int(instant[2]))
         planes = np.stack([self._images[i] for i in pick], axis=1)  # (4 or 8, n, H·W)
         planes = planes.reshape(len(planes), -1)
         half = dr.float16_array_t(mi.Vector4f)  # kernels that read it convert

@@ -29,9 +29,10 @@ class PathResidual:
     Parameters
     ----------
     current : callable
-        ``current() -> (Model, Surface, Textures)``: the state θ.
+        ``current(views) -> (Model, Surface, Textures)``: the state θ as views of one frame show it, which the renderer
+        then holds.
     renderer : DeferredRenderer
-        With shadows; holds the current positions.
+        With shadows.
     spp, max_depth : int
         Of the path tracer.
     form : str
@@ -40,7 +41,7 @@ class PathResidual:
 
     def __init__(
         self,
-        current: Callable[[], tuple[Model, Surface, Textures]],
+        current: Callable[[Views], tuple[Model, Surface, Textures]],
         renderer: DeferredRenderer,
         *,
         spp: int,
@@ -54,7 +55,13 @@ class PathResidual:
         """
         Residual radiance, shape (B, height, width, 4); coverage is 0.
         """
-        model, surface, textures = self._current()
+        residual = np.empty((len(views), views.height, views.width, 4), np.float32)
+        for index, part in views.by_frame():
+            residual[index] = self._rendered(part, seed)
+        return residual
+
+    def _rendered(self, views: Views, seed: int) -> np.ndarray:
+        model, surface, textures = self._current(views)
         tracer = make_reference(
             model.as_asset(), transport="baked", spp=self._spp, max_depth=self._max_depth, form=self._form
         )

@@ -1,22 +1,25 @@
 """
-The latent model on the device: a mesh and packed textures, and how a surface is made of them.
+The latent model on the device: a mesh, what moves it, packed textures, and how a surface is made of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
 
 from .model import Model
+from .operation import operation_of
 from .surface import MeshTopology, Surface
+from .tangents import split_mirrored
 from .textures import Textures
 
 
 class Latent:
     """
-    What is optimised. The paper's mesh operations happen in :meth:`evaluate`.
+    What is optimised. The paper's mesh operations happen in ``operation`` and in :meth:`evaluate`.
 
     Parameters
     ----------
@@ -27,19 +30,38 @@ class Latent:
     """
 
     def __init__(self, model: Model, extended: bool = False):
-        self.topology = MeshTopology(model.mesh)
+        self._model = replace(model, mesh=split_mirrored(model.mesh))
+        self.operation = operation_of(self._model)
+        self.topology = MeshTopology(self.operation.mesh)
         self.textures = Textures(model.base_color, model.specular, model.normal, extended)
-        self._model = replace(model, mesh=self.topology.mesh)
 
     def evaluate(self, positions: mi.Float) -> Surface:
         """
-        The surface at welded positions, flat, width P·3; differentiable.
+        The surface at rendered welded positions, flat, width P·3; differentiable.
         """
         return self.topology.surface(positions)
 
-    def model(self, positions: np.ndarray) -> Model:
+    def model(self, base: np.ndarray, parameters: Mapping[str, np.ndarray] | None = None) -> Model:
         """
-        Back to NumPy; ``positions`` has shape (P, 3).
+        Back to NumPy: all that is optimised.
+
+        Parameters
+        ----------
+        base : ndarray, shape (P, 3) or flat
+            Welded base positions.
+        parameters : mapping of str to ndarray, optional
+            Of the operation; its first values where left out.
         """
-        mesh = replace(self._model.mesh, positions=np.asarray(positions, np.float64).reshape(-1, 3))
+        model = self._with(self._model.mesh, base)
+        return self.operation.written(model, {**self.operation.parameters, **(parameters or {})})
+
+    def shown(self, positions: np.ndarray) -> Model:
+        """
+        The rendered mesh at rendered positions, with the textures, as a model without an operation.
+        """
+        model = self._with(self.topology.mesh, positions)
+        return Model(model.mesh, model.base_color, model.specular, model.normal, model.alpha_mode, model.alpha_cutoff)
+
+    def _with(self, mesh, positions: np.ndarray) -> Model:
+        mesh = replace(mesh, positions=np.asarray(positions, np.float64).reshape(-1, 3))
         return replace(self._model, mesh=mesh, **self.textures.images())

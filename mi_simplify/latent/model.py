@@ -113,7 +113,8 @@ class Model:
         Parameters
         ----------
         quantities : collection of str
-            Of vertices, base_color, opacity, gamma, roughness, metallic, normal.
+            Of vertices, base_color, opacity, gamma, roughness, metallic, normal; what a mesh operation has besides is
+            the fitted model's, which left it alone where it was not to be fitted.
         """
         mesh = fitted.mesh
         if "vertices" not in quantities:
@@ -124,7 +125,7 @@ class Model:
             return np.where(taken, getattr(fitted, name), getattr(self, name))
 
         return replace(
-            self, mesh=mesh,
+            fitted, mesh=mesh,
             base_color=channels("base_color", ("base_color",) * 3 + ("opacity",)),
             specular=channels("specular", ("gamma", "roughness", "metallic")),
             normal=channels("normal", ("normal",) * 3),

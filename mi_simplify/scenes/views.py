@@ -88,6 +88,16 @@ class Views:
         """
         return Views.from_arrays({k: v[index] for k, v in self.arrays().items()}, self.width, self.height)
 
+    def by_frame(self) -> list[tuple[np.ndarray, Views]]:
+        """
+        Indices, and the views themselves, of each frame of the animation in turn.
+        """
+        frames = self.frame.numpy()
+        if len(self) == 0 or (frames == frames[0]).all():
+            return [(np.arange(len(self)), self)]
+        groups = [np.flatnonzero(frames == frame) for frame in np.unique(frames)]
+        return [(group, self.take(group)) for group in groups]
+
     def resized(self, width: int, height: int) -> Views:
         """
         The same cameras with another film size.

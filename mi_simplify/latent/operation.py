@@ -1,0 +1,77 @@
+"""
+Between the vertices that are optimised and those that are rendered: the paper's mesh operations, as one interface.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import mitsuba as mi
+import numpy as np
+
+from ..scenes.views import Views
+from .model import Mesh, Model
+
+
+class MeshOperation(Protocol):
+    """
+    How base positions and further parameters make the positions that are rendered.
+
+    Attributes
+    ----------
+    base : Mesh
+        Its welded positions are optimised, with the Laplacian on them.
+    mesh : Mesh
+        What is rendered, at rest; its topology stays.
+    parameters : dict of str to ndarray
+        First values of what is optimised besides, flat; each name is one of the configuration's quantities and has a
+        rate of that name.
+    """
+
+    base: Mesh
+    mesh: Mesh
+    parameters: dict[str, np.ndarray]
+
+    def positions(self, base: mi.Float, parameters: dict[str, mi.Float], views: Views) -> mi.Float:
+        """
+        Welded positions of ``mesh``, flat, as these views show them; differentiable in the first two.
+
+        Parameters
+        ----------
+        base : mi.Float, width P·3
+        parameters : dict of str to mi.Float
+        views : Views
+            All of one film size and of one frame of the animation.
+        """
+        ...
+
+    def written(self, model: Model, parameters: dict[str, np.ndarray]) -> Model:
+        """
+        The model with these parameters; its positions are up to date.
+        """
+        ...
+
+
+class Identity:
+    """
+    Rendered is what is optimised.
+    """
+
+    def __init__(self, model: Model):
+        self.base = self.mesh = model.mesh
+        self.parameters: dict[str, np.ndarray] = {}
+
+    def positions(self, base: mi.Float, parameters: dict[str, mi.Float], views: Views) -> mi.Float:
+        """See :class:`MeshOperation`."""
+        return base
+
+    def written(self, model: Model, parameters: dict[str, np.ndarray]) -> Model:
+        """See :class:`MeshOperation`."""
+        return model
+
+
+def operation_of(model: Model) -> MeshOperation:
+    """
+    The operation that a model's own fields ask for.
+    """
+    return Identity(model)
