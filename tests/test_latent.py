@@ -1,6 +1,8 @@
 """The latent model between NumPy and the device: what goes in comes out, in the right frame."""
 
 import mitsuba as mi
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tiny_meshes import charted_sphere
@@ -80,7 +82,7 @@ def test_as_asset_is_the_same_mesh_with_its_normals_and_material():
 def test_a_fitted_model_gives_away_only_what_was_fitted(quantities, changed):
     guess, other = model(0, alpha_mode="MASK"), model(1)
     fitted = Latent(guess).model(other.mesh.positions)
-    fitted = Model(fitted.mesh, other.base_color, other.specular, other.normal)
+    fitted = replace(fitted, base_color=other.base_color, specular=other.specular, normal=other.normal)
 
     def parts(m: Model) -> dict[str, np.ndarray]:
         names = ("red", "green", "blue", "opacity", "gamma", "roughness", "metallic")
