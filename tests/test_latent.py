@@ -1,8 +1,8 @@
 """The latent model between NumPy and the device: what goes in comes out, in the right frame."""
 
-import mitsuba as mi
 from dataclasses import replace
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from tiny_meshes import charted_sphere
