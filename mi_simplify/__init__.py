@@ -38,7 +38,7 @@ _EXPORTS = {
     "load_asset": "scenes.load",
     "load_config": "config",
     "make_reference": "scenes.reference",
-    "open_asset": "job",
+    "open_asset": "subjects",
     "report_folder": "report",
     "run_job": "job",
 }

@@ -286,8 +286,8 @@ def render(asset, out, resolution, spp, azimuth, elevation, variant) -> None:
         settings = {"transport": config.reference.transport, "max_depth": config.reference.max_depth}
     _prepare(variant)
     from . import picture
-    from .job import open_asset
     from .output import check_writable
+    from .subjects import open_asset
 
     check_writable(picture.check_picture_path(out))
     image = picture.render_picture(

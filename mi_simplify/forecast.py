@@ -27,17 +27,16 @@ from .fitting.fit import REFRESH_EVERY
 from .fitting.schedules import resolution_at
 from .footprint import check_footprint
 from .frame import Frame
-from .job import guess_for, open_asset, reference_for
 from .latent.model import Mesh, Model
 from .output import RunFolder
 from .preview import SHARE
 from .progress import Progress, ProgressCallback, silent
-from .report.evaluate import compare_assets
 from .report.html import report_page
 from .report.pictures import contact_sheet
 from .runtime import ensure_variant
 from .scenes.asset import Asset
 from .scenes.reference import Reference
+from .subjects import Subject, open_subject
 
 
 @dataclass
@@ -106,19 +105,19 @@ def forecast(
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
     clock = _Clock()
     progress(Progress("load", message=config.asset))
-    asset = open_asset(config.asset)
+    subject = open_subject(config.asset)
+    asset = subject.geometry
     check_footprint(config, asset)
     frame = Frame.around(asset.bounds)
-    target = frame.normalised(asset)
     load = clock.lap()
     progress(Progress("first guess"))
-    guess, notes = guess_for(target, config, frame)
+    guess, notes = subject.guess(config, frame)
     result = Forecast(_plan(config, asset, guess, notes, folder.path))
-    reference = reference_for(target, config)
+    reference = subject.reference(config, frame)
     result.seconds |= {"load": load, "first guess": clock.lap()}
     if config.optimizer.steps:
         _try_fit(result, config, guess, reference, progress)
-    _try_rest(result, config, asset, frame.restored(guess), progress)
+    _try_rest(result, config, subject, frame.restored(guess), progress)
     peak = _peak_memory()
     result.memory = None if peak is None else peak + _to_come(config)
     return result
@@ -179,7 +178,7 @@ def _try_fit(result: Forecast, config: Config, guess: Model, reference: Referenc
     result.seconds["fit"] = seconds * (1 + SHARE)
 
 
-def _try_rest(result: Forecast, config: Config, asset: Asset, guess: Model, progress: ProgressCallback) -> None:
+def _try_rest(result: Forecast, config: Config, subject: Subject, guess: Model, progress: ProgressCallback) -> None:
     """Time an export, one view of the evaluation and its page; views cost alike, and so do candidates."""
     progress(Progress("trial", message="evaluation"))
     judged, clock, candidate = config.evaluation, _Clock(), guess.as_asset()
@@ -188,8 +187,8 @@ def _try_rest(result: Forecast, config: Config, asset: Asset, guess: Model, prog
     n_images = judged.views * (3 + judged.baseline)
 
     def judge() -> Any:
-        return compare_assets(
-            asset, {"result": candidate}, n_views=1, resolution=judged.resolution, spp=judged.spp, seed=config.seed
+        return subject.judge(
+            {"result": candidate}, n_views=1, resolution=judged.resolution, spp=judged.spp, seed=config.seed
         )
 
     judge()
@@ -199,9 +198,10 @@ def _try_rest(result: Forecast, config: Config, asset: Asset, guess: Model, prog
     if judged.baseline:
         result.seconds["evaluate"] += result.seconds["first guess"]
     contact_sheet(comparison.reference, comparison.candidates, comparison.per_view)
-    report_page(comparison, title=asset.name)
+    report_page(comparison, title=subject.geometry.name)
     per_view = clock.lap() * (2 + judged.baseline)
-    report_page(comparison, title=asset.name, models={"reference": asset, "result": candidate})
+    models = {"result": candidate} if subject.shown is None else {"reference": subject.shown, "result": candidate}
+    report_page(comparison, title=subject.geometry.name, models=models)
     result.seconds["report"] = clock.lap() + per_view * judged.views
 
 

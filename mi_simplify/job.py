@@ -11,8 +11,8 @@ from pathlib import Path
 
 from . import __version__
 from .checkpoint import Checkpoint
-from .config import SAMPLE_PREFIX, Config, dump
-from .errors import AssetError, Defect
+from .config import Config, dump
+from .errors import Defect
 from .events import require_tensorboard
 from .export import export_model
 from .export.files import write_atomic
@@ -24,15 +24,13 @@ from .latent.model import Model
 from .output import RunFolder
 from .progress import Progress, ProgressCallback, silent
 from .record import Record
-from .report.evaluate import compare_assets, save_comparison
+from .report.evaluate import save_comparison
 from .report.folder import report_folder
 from .report.self_check import LEAST_PSNR, self_check
 from .runtime import ensure_variant
 from .scenes.asset import Asset
 from .scenes.load import load_asset
-from .scenes.read_mitsuba import SceneAsset
-from .scenes.reference import Reference, make_reference
-from .scenes.samples import sample_asset
+from .subjects import Subject, open_asset, open_subject
 
 
 @dataclass(frozen=True)
@@ -60,62 +58,6 @@ class Result:
         """
         seconds = self.figures["run"]["seconds"]["total"]
         return "\n".join([*figure_rows(self.figures), f"{self.folder}: done in {seconds:.0f} s"])
-
-
-def open_asset(name: str) -> Asset:
-    """
-    A model file, or the procedural sample that ``sample:NAME`` stands for.
-    """
-    if name.startswith(SAMPLE_PREFIX):
-        return sample_asset(name.removeprefix(SAMPLE_PREFIX))
-    return load_asset(name)
-
-
-def guess_for(asset: Asset, config: Config, frame: Frame) -> tuple[Model, list[str]]:
-    """
-    The first guess that the configuration asks for.
-
-    Parameters
-    ----------
-    asset : Asset
-        In ``frame``, as the model that is returned.
-    config : Config
-    frame : Frame
-        Into which the mesh that the configuration names is brought.
-
-    Returns
-    -------
-    model : Model
-    notes : list of str
-    """
-    initial = config.initial
-    if initial.kind == "decimate" and isinstance(asset, SceneAsset):
-        asset.require_triangles()
-    return first_guess(
-        asset,
-        triangles=initial.triangles,
-        atlas_size=initial.atlas_size,
-        textures=initial.textures,
-        kind=initial.kind,
-        init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh, purpose="low-poly mesh")),
-        keep_uv=initial.keep_uv,
-        repair=initial.repair and "vertices" in config.latent.optimize,
-        seed=config.seed,
-        crease_angle=initial.crease_angle,
-    )
-
-
-def reference_for(asset: Asset, config: Config) -> Reference:
-    """
-    The renderer of the target images that the configuration asks for.
-    """
-    settings = config.reference
-    if settings.environment is not None and not Path(settings.environment).is_file():
-        raise AssetError(f"the environment map '{settings.environment}' does not exist")
-    return make_reference(
-        asset, transport=settings.transport, spp=settings.spp, max_depth=settings.max_depth,
-        environment=settings.environment, lights=settings.scene_lights, form=config.latent.shading,
-    )  # fmt: skip
 
 
 def run_job(
@@ -171,19 +113,18 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
     """The stages in their order, with the variant set and the folder free."""
     clock = _Stopwatch()
     progress(Progress("load", message=config.asset))
-    asset = open_asset(config.asset)
-    check_footprint(config, asset)
-    frame = Frame.around(asset.bounds)
-    target = frame.normalised(asset)
+    subject = open_subject(config.asset)
+    check_footprint(config, subject.geometry)
+    frame = Frame.around(subject.geometry.bounds)
     clock.lap("load")
-    checkpoint = Checkpoint(folder.checkpoint, config, asset)
+    checkpoint = Checkpoint(folder.checkpoint, config, subject.geometry)
     state = None
     if folder.resume:
         guess, notes, state = checkpoint.load()
     else:
         progress(Progress("first guess"))
-        guess, notes = guess_for(target, config, frame)
-    reference = reference_for(target, config)
+        guess, notes = subject.guess(config, frame)
+    reference = subject.reference(config, frame)
     clock.lap("first guess")
     with folder.opened():
         if not folder.resume:
@@ -203,10 +144,11 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         candidates = {"first guess": guess.as_asset(), "result": result}
         judged = config.evaluation
         if judged.baseline:
+            target = frame.normalised(subject.geometry)
             baseline, _ = quadrics_only(target, guess.n_triangles, atlas_size=config.initial.atlas_size)
             candidates = {"quadrics": frame.restored(baseline).as_asset(), **candidates}
-        comparison = compare_assets(
-            asset, candidates, n_views=judged.views, resolution=judged.resolution, spp=judged.spp,
+        comparison = subject.judge(
+            candidates, n_views=judged.views, resolution=judged.resolution, spp=judged.spp,
             seed=config.seed, progress=progress,
         )  # fmt: skip
         clock.lap("evaluate")
@@ -217,10 +159,15 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         comparison = replace(comparison, figures={**comparison.figures, "run": run})
         with folder.staged() as stage:
             save_comparison(comparison, stage)
-        report_folder(folder.path, {"reference": asset, "result": result})
+        report_folder(folder.path, _shown(subject) | {"result": result})
         folder.finished()
     _require_shown(shown, written)
     return Result(folder.path, guess, model, comparison.figures)
+
+
+def _shown(subject: Subject) -> dict[str, Asset]:
+    """What a report shows of the subject in 3D."""
+    return {} if subject.shown is None else {"reference": subject.shown}
 
 
 def _require_shown(psnr: float, written: Path) -> None:
@@ -288,7 +235,7 @@ def evaluate_job(
     **settings: int,
 ) -> dict:
     """
-    Judge files against a file; see :func:`mi_simplify.report.compare_assets` for the settings.
+    Judge files against a subject; see :func:`mi_simplify.report.compare_assets` for the settings.
 
     Returns
     -------
@@ -298,13 +245,13 @@ def evaluate_job(
     folder = None if out is None else RunFolder(out, overwrite=overwrite)
     ensure_variant(variant)
     progress(Progress("load"))
-    target, assets = open_asset(reference), {name: open_asset(name) for name in candidates}
-    comparison = compare_assets(target, assets, progress=progress, **settings)
+    subject, assets = open_subject(reference), {name: open_asset(name) for name in candidates}
+    comparison = subject.judge(assets, progress=progress, **settings)
     if folder is not None:
         with folder.opened():
             with folder.staged() as stage:
                 save_comparison(comparison, stage)
-            report_folder(folder.path, {"reference": target, **assets})
+            report_folder(folder.path, _shown(subject) | assets)
     return comparison.figures
 
 

@@ -18,13 +18,14 @@ import pytest
 from test_cli import bumpy_sphere, files
 from test_fit import textured_sphere
 
-from mi_simplify import cli, job
+from mi_simplify import cli
 from mi_simplify.checkpoint import Checkpoint, fingerprint, read_archive, write_archive
 from mi_simplify.config import load_config
 from mi_simplify.fitting import Fit, Run, fit
 from mi_simplify.job import run_job
 from mi_simplify.progress import Progress
 from mi_simplify.scenes.reference import make_reference
+from mi_simplify.subjects import subject
 
 resource = pytest.importorskip("resource", reason="POSIX")
 
@@ -385,7 +386,7 @@ def test_an_interrupted_run_goes_on_and_then_there_is_nothing_left_to_resume(sto
         progress(Progress("evaluate", 1, 6))
 
     with monkeypatch.context() as patch:
-        patch.setattr(job, "compare_assets", interrupted)
+        patch.setattr(subject, "compare_assets", interrupted)
         assert cli.main([*command, "--resume"]) == 130
     expected = "interrupted: out holds the finished fit; the same command with --resume judges it"
     assert capsys.readouterr().err.splitlines()[-1] == expected
@@ -401,7 +402,7 @@ def test_an_interrupted_run_goes_on_and_then_there_is_nothing_left_to_resume(sto
 def test_a_run_that_reached_no_state_begins_again_with_its_first_guess(stopped, monkeypatch):
     folder, command = stopped
     (folder / "out" / "checkpoint" / "state.npz").unlink()
-    monkeypatch.setattr(job, "guess_for", None)
+    monkeypatch.setattr(subject.Subject, "guess", None)
     assert cli.main([*command, "--resume"]) == 0
     steps = [json.loads(line)["step"] for line in (folder / "out" / "log.jsonl").read_text().splitlines()]
     assert steps == [1, 10, 11, 20, 21, 30]

@@ -12,9 +12,9 @@ from mi_simplify.display import Bar, Lines, Silent
 from mi_simplify.errors import AssetError
 from mi_simplify.frame import Frame
 from mi_simplify.interrupt import DeferredInterrupt
-from mi_simplify.job import reference_for
 from mi_simplify.progress import Progress
 from mi_simplify.scenes.asset import Asset, Instance, Part
+from mi_simplify.subjects.subject import reference_for
 
 ROOT = Path(__file__).resolve().parents[1]
 

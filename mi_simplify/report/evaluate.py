@@ -9,7 +9,7 @@ import json
 import logging
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,6 +26,7 @@ from .metrics import COVERED, compare
 from .pictures import contact_sheet, shown
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
+    from ..scenes.reference import Reference
     from ..scenes.views import Views
 
 log = logging.getLogger("mi_simplify")
@@ -103,36 +104,87 @@ def compare_assets(
     """
     from ..scenes.views import held_out_views  # Mitsuba needs its variant by now, not on import
 
-    progress = progress or silent
     views = held_out_views(reference.bounds, n_views, resolution, seed)
-    assets = {"": reference, **candidates}
+    target = Rendering(reference, PathTraced(reference, spp))
+    others = {name: Rendering(asset, PathTraced(asset, spp)) for name, asset in candidates.items()}
+    settings = {"spp": spp, "seed": seed, "max_depth": MAX_DEPTH, "sky": SKY}
+    return compare_renderings(target, others, views, settings, progress)
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """
+    A model, and what its pictures are made with.
+
+    Parameters
+    ----------
+    asset : Asset
+        Its name, costs and file are told.
+    renderer : Reference
+    """
+
+    asset: Asset
+    renderer: Reference
+
+
+def compare_renderings(
+    reference: Rendering,
+    candidates: Mapping[str, Rendering],
+    views: Views,
+    settings: dict,
+    progress: ProgressCallback | None = None,
+) -> Comparison:
+    """
+    Render all of them from the same views, and measure.
+
+    Parameters
+    ----------
+    reference : Rendering
+    candidates : mapping of str to Rendering
+    views : Views
+        In the frame of all renderers.
+    settings : dict
+        How it was rendered, for ``metrics.json``; ``seed`` is that of the renderers' noise.
+    progress : callable, optional
+        Told after every image, as stage "evaluate".
+
+    Raises
+    ------
+    AssetError
+        The reference is not to be seen in any of the views.
+    """
+    progress = progress or silent
+    renderings, n_views, seed = {"": reference, **candidates}, len(views), settings["seed"]
     images: dict[str, np.ndarray] = {}
-    for name, asset in assets.items():
-
-        def told(k: int, done: int = len(images) * n_views) -> None:
-            progress(Progress("evaluate", done + k, len(assets) * n_views))
-
-        images[name] = _path_traced(asset, views, spp, seed, told)
+    for name, rendering in renderings.items():
+        parts = []
+        for k in range(n_views):
+            parts.append(rendering.renderer.render(views.take(np.array([k])), seed * n_views + k))
+            progress(Progress("evaluate", len(images) * n_views + k + 1, len(renderings) * n_views))
+        images[name] = _finite(np.concatenate(parts), rendering.asset.name)
     target = images.pop("")
     if not (target[..., 3] > COVERED).any():
         raise AssetError(
-            f"{reference.source or reference.name}: no held-out view shows anything of it; "
+            f"{reference.asset.source or reference.asset.name}: no held-out view shows anything of it; "
             "check its scale, and that it is not fully transparent"
         )
+    rows = {name: {**_costs(candidates[name].asset), **compare(target, images[name])} for name in candidates}
     figures = {
         "generator": f"mi_simplify {__version__}",
-        "settings": {
-            "n_views": n_views,
-            "resolution": resolution,
-            "spp": spp,
-            "seed": seed,
-            "max_depth": MAX_DEPTH,
-            "sky": SKY,
-        },
-        "reference": {"name": reference.name, **_costs(reference)},
-        "candidates": {name: {**_costs(asset), **compare(target, images[name])} for name, asset in candidates.items()},
+        "settings": {"n_views": n_views, "resolution": views.width, **settings},
+        "reference": {"name": reference.asset.name, **_costs(reference.asset)},
+        "candidates": rows,
     }
     return Comparison(target, images, figures)
+
+
+def _finite(images: np.ndarray, name: str) -> np.ndarray:
+    """Images whose values are all finite: what is not counts as black, and that is told."""
+    broken = ~np.isfinite(images)
+    if broken.any():
+        log.warning("%s: %d pixel values are not finite and count as black", name, np.count_nonzero(broken))
+        images[broken] = 0.0
+    return images
 
 
 def _costs(asset: Asset) -> dict:
@@ -152,35 +204,33 @@ def _costs(asset: Asset) -> dict:
     }
 
 
-def _path_traced(asset: Asset, views: Views, spp: int, seed: int, told: Callable[[int], None]) -> np.ndarray:
+class PathTraced:
     """
-    Images of all views, shape (B, H, W, 4).
+    An asset under the point light of each view and a dim constant sky, as a :class:`..scenes.reference.Reference`.
 
     Point light and sky are rendered apart and added: a path tracer that picks one of two lights at
     random is far noisier, and noise here is error that neither model has.
-    """
-    from ..scenes.reference import make_reference
-    from ..scenes.views import Views
 
-    lit = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH)
-    sky = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY)
-    arrays = views.arrays()
-    dark = Views.from_arrays(
-        arrays | {"light_intensity": np.zeros_like(arrays["light_intensity"])}, views.width, views.height
-    )
-    images = []
-    for k in range(len(views)):
-        one = np.array([k])
-        image = lit.render(views.take(one), seed=2 * (seed * len(views) + k))
-        image[..., :3] += sky.render(dark.take(one), seed=2 * (seed * len(views) + k) + 1)[..., :3]
-        images.append(image)
-        told(k + 1)
-    images = np.concatenate(images)
-    broken = ~np.isfinite(images)
-    if broken.any():
-        log.warning("%s: %d pixel values are not finite and count as black", asset.name, np.count_nonzero(broken))
-        images[broken] = 0.0
-    return images
+    Parameters
+    ----------
+    asset : Asset
+    spp : int
+        Samples per pixel.
+    """
+
+    def __init__(self, asset: Asset, spp: int):
+        from ..scenes.reference import make_reference
+
+        self._lit = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH)
+        self._sky = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY)
+
+    def render(self, views: Views, seed: int = 0) -> np.ndarray:
+        """
+        Images of the views, shape (B, H, W, 4).
+        """
+        image = self._lit.render(views, seed=2 * seed)
+        image[..., :3] += self._sky.render(views.lit_by(0.0), seed=2 * seed + 1)[..., :3]
+        return image
 
 
 def save_comparison(comparison: Comparison, out: str | Path) -> dict[str, Path]:
