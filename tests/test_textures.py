@@ -161,3 +161,66 @@ def test_textures_own_their_memory():
     dr.scatter(textures.data, mi.Float(7), mi.UInt32(0))
     dr.eval(textures.data)
     assert textures.images()["base_color"][0, 0, 0] == 7 and base[0, 0, 0] < 1
+
+
+def chain(textures):
+    """All levels of unpacked images as the packed planes of :func:`planes`."""
+    return [planes(*textures.images(k).values(), textures.extended) for k in range(textures.n_levels)]
+
+
+@pytest.mark.parametrize(("height", "width"), [(16, 16), (8, 32), (1, 4)])
+def test_derived_levels_are_means_of_four(height, width):
+    three = images(height, width)
+    textures = Textures(*three, extended=True, mips="derived")
+    data = textures.data.numpy().reshape(-1, 12)
+    levels = [data[textures.places(k).numpy()].reshape(*textures.size(k), 12) for k in range(textures.n_levels)]
+    assert levels[-1].shape == (1, 1, 12) and np.allclose(levels[0], planes(*three, True), atol=1e-6)
+    for fine, coarse in zip(levels, levels[1:], strict=False):
+        h, w = coarse.shape[:2]
+        assert np.allclose(coarse, fine.reshape(h, len(fine) // h, w, fine.shape[1] // w, 12).mean((1, 3)), atol=1e-6)
+
+
+def test_trilinear_lookup_and_its_derivatives():
+    three, rng = images(16, 32), np.random.default_rng(5)
+    textures = Textures(*three, mips="custom")
+    u, v = rng.uniform(-1, 2, (2, 500)).astype(np.float32).astype(np.float64)
+    level = np.r_[rng.uniform(0.05, 4.95, 496), 0, 1, 3, 5]
+    packed = textures.data.numpy().reshape(-1, 8)
+    levels = [packed[textures.places(k).numpy()].reshape(*textures.size(k), 8) for k in range(textures.n_levels)]
+    low = np.minimum(np.floor(level).astype(int), 4)
+    values = [ref_lookup(image, u, v) for image in levels]
+    pick = lambda part, k: np.stack([values[j][part][i] for i, j in enumerate(k)])  # noqa: E731
+    a, b, f = pick(0, low), pick(0, low + 1), (level - low)[:, None]
+    lu, lv, ll = floats(u), floats(v), floats(level)
+    dr.enable_grad(lu, lv, ll)
+    got = textures.lookup(textures.footprint(lu, lv, ll))
+    assert np.abs(got.numpy().T - (a * (1 - f) + b * f)).max() < 1e-4
+    weight = rng.normal(size=8).astype(np.float32)
+    dr.backward(dr.sum(got * mi.ArrayXf([mi.Float(float(w)) for w in weight]), axis=0))
+    inside = np.flatnonzero(np.abs((level % 1) - 0.5) < 0.49)
+    for part, leaf in ((1, lu), (2, lv)):
+        expected = (pick(part, low) * (1 - f) + pick(part, low + 1) * f) @ weight
+        assert np.median(np.abs(dr.grad(leaf).numpy() - expected)) < 1e-3
+    assert np.allclose(dr.grad(ll).numpy()[inside], ((b - a) @ weight)[inside], atol=2e-3)
+
+
+@pytest.mark.parametrize("mips", ["derived", "custom"])
+def test_gradient_of_levels_is_the_transposed_lookup(mips):
+    """⟨lookup(x), g⟩ = ⟨x, lookupᵀ(g)⟩ over what is a parameter: one level, or all."""
+    textures, rng = Textures(*images(32, 16), extended=True, mips=mips), np.random.default_rng(6)
+    n = 60
+    u, v, level = rng.uniform(0, 1, n), rng.uniform(0, 1, n), rng.uniform(0, 5, n)
+    footprint = textures.footprint(floats(u), floats(v), floats(level))
+    flags = TouchedBlocks.flags(textures, footprint)
+    g = rng.normal(size=(12, n)).astype(np.float32)
+    grad = TexelGradient.collect(textures, footprint, TouchedBlocks.of(textures, flags), mi.ArrayXf(g))
+    value = textures.lookup(footprint).numpy()
+    folded = textures.folded(grad).spread_out(textures).numpy()
+    assert np.sum(value * g) == pytest.approx(np.sum(folded * textures.data.numpy()), rel=1e-3)
+    beyond = textures.offsets.numpy()[1] * 12
+    assert folded[beyond:].any() == (mips == "custom")
+
+
+def test_mips_want_powers_of_two():
+    with pytest.raises(ValueError, match="powers of two"):
+        Textures(*images(12, 16), mips="derived")

@@ -54,6 +54,7 @@ class TexelAdam:
             Of all rates.
         """
         textures, n = self.textures, self.textures.n_channels
+        grad = textures.folded(grad)
         load = lambda buffer, i: dr.gather(mi.ArrayXf, buffer, i, shape=(n, dr.width(i)))  # noqa: E731
         lane = dr.arange(mi.UInt32, dr.width(grad.blocks) * BLOCK)
         lane = dr.compress(dr.any(load(grad.values, lane) != 0))  # half of them, or fewer
@@ -73,6 +74,7 @@ class TexelAdam:
         for buffer, value in ((textures.data, x), (self.m, m), (self.v, v), (self.count, count)):
             dr.scatter(buffer, value, texel)
         dr.eval(textures.data, self.m, self.v, self.count)
+        textures.refresh()
 
     def _project(self, x: mi.ArrayXf) -> mi.ArrayXf:
         """

@@ -69,6 +69,12 @@ class Cameras:
         d = self.fetch(view, 3).xyz + self.fetch(view, 1).xyz * sx + self.fetch(view, 2).xyz * sy
         return mi.Point3f(o.xyz), mi.Vector3f(dr.normalize(d))
 
+    def pixel_width(self, view: mi.UInt32, direction: mi.Vector3f) -> mi.Float:
+        """
+        Width of a pixel at distance 1 along the unit direction of a ray [scene units]: its ray differential.
+        """
+        return dr.dot(direction, self.fetch(view, 3).xyz) * self.fetch(view, 0).w * (2 / self.width)
+
     def project(self, view: mi.UInt32, p: mi.Point3f) -> mi.Point3f:
         """
         Film position [pixels] and depth along the view axis of a point: ``(x, y, z)``; x, y mean nothing where z <= 0.

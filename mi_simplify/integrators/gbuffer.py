@@ -43,13 +43,15 @@ class Fragment:
     Surface attributes where a ray meets a known triangle; all follow the surface along the *fixed* ray.
 
     ``normal`` and ``tangent`` are interpolated, ``normal`` is unit length, ``tangent`` neither unit nor orthogonal;
-    ``handedness`` is ±1; ``geometric_normal`` is detached; ``is_back`` says that the ray meets the triangle's back.
+    ``handedness`` is ±1; ``density`` says how far the UV moves per unit length, where the surface knows it, else it is 1;
+    ``geometric_normal`` is detached; ``is_back`` says that the ray meets the triangle's back.
     """
 
     p: mi.Point3f
     normal: mi.Vector3f
     tangent: mi.Vector3f
     handedness: mi.Float
+    density: mi.Float
     u: mi.Float
     v: mi.Float
     is_back: mi.Bool
@@ -109,7 +111,8 @@ def fragment(surface: Surface, face: mi.UInt32, origin: mi.Point3f, direction: m
         p=mi.Point3f(origin + direction * t),
         normal=normal * dr.rsqrt(dr.maximum(dr.squared_norm(normal), 1e-12)),
         tangent=mi.Vector3f(c[0].xyz * b0 + c[1].xyz * b1 + c[2].xyz * b2),
-        handedness=c[0].w,
+        handedness=dr.sign(dr.detach(c[0].w)),
+        density=dr.abs(c[0].w * b0 + c[1].w * b1 + c[2].w * b2),  # one sign in all corners
         u=a[0].w * b0 + a[1].w * b1 + a[2].w * b2,
         v=b[0].w * b0 + b[1].w * b1 + b[2].w * b2,
         is_back=dr.detach(det) < 0,

@@ -12,6 +12,9 @@ from ..latent.surface import Surface
 from ..latent.textures import Footprint, Texels, Textures
 from .gbuffer import Fragment, Hits, fragment
 
+#: Least cosine that a pixel's footprint is stretched by: what is seen more edge-on is filtered as if it were at this.
+GRAZING = 0.1
+
 
 def mapped_normal(hit: Fragment, normal: mi.Vector3f, wi: mi.Vector3f) -> mi.Vector3f:
     """
@@ -86,7 +89,12 @@ def shade_hits(
     """
     view, origin, direction = rays.at(hits.ray)
     hit = fragment(surface, dr.gather(mi.UInt32, hits.face, hits.ray), origin, direction)
-    footprint = textures.footprint(hit.u, hit.v)
+    level = None
+    if textures.n_levels > 1:
+        # Of a whole pixel, however many samples it has: that is what viewers filter textures for.
+        width = rays.cameras.pixel_width(view, direction) * dr.dot(mi.Vector3f(hit.p - origin), direction)
+        level = textures.level(width * hit.density / dr.maximum(dr.abs(dr.dot(hit.normal, direction)), GRAZING))
+    footprint = textures.footprint(hit.u, hit.v, level)
     looked_up = textures.lookup(footprint)
     texels = textures.unpack(looked_up if offset is None else looked_up + offset)
     light, intensity = rays.cameras.fetch(view, 4).xyz, rays.cameras.fetch(view, 5).xyz

@@ -24,7 +24,8 @@ class Surface:
     Parameters
     ----------
     packets : mi.Float, width V·12
-        Per vertex: position and u, unit normal and v, unit tangent and handedness.
+        Per vertex: position and u, unit normal and v, unit tangent and w. The sign of w is the handedness, its magnitude
+        how far the UV moves per unit length, or 1.
     faces : mi.UInt32, width F·4
         Three vertex indices a face and one unused.
     """
@@ -41,15 +42,17 @@ class MeshTopology:
     ----------
     mesh : Mesh
         Vertices in which mirrored and unmirrored texture meet are split.
+    density : bool
+        Whether surfaces know how far the UV moves per unit length, which mip levels need.
     """
 
-    def __init__(self, mesh: Mesh):
+    def __init__(self, mesh: Mesh, density: bool = False):
         mesh = split_mirrored(mesh)
         self.mesh = mesh
         self.n_positions, self.n_vertices, self.n_faces = len(mesh.positions), len(mesh.uvs), len(mesh.faces)
         faces4 = np.concatenate([mesh.faces, np.zeros((self.n_faces, 1), np.int64)], axis=1)
         self.faces = upload(mi.UInt32, faces4.ravel())
-        self._stencil = _Stencil.of(mesh)
+        self._stencil = _Stencil.of(mesh, density)
 
     def surface(self, positions: mi.Float) -> Surface:
         """
@@ -79,9 +82,10 @@ class _Stencil:
     uv: mi.Vector2f  # (V,)
     n_normals: int
     n_vertices: int
+    metric: mi.Vector3f | None  # (F,)
 
     @staticmethod
-    def of(mesh: Mesh) -> _Stencil:
+    def of(mesh: Mesh, density: bool) -> _Stencil:
         uv = mesh.uvs.astype(np.float64)[mesh.faces]
         d1, d2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
         _, sign = face_tangents(mesh)
@@ -102,6 +106,9 @@ class _Stencil:
             uv=upload(mi.Vector2f, mesh.uvs),
             n_normals=int(groups.max()) + 1,
             n_vertices=len(mesh.uvs),
+            metric=upload(mi.Vector3f, np.stack([np.sum(a * b, axis=1) for a, b in ((d1, d1), (d1, d2), (d2, d2))], 1))
+            if density
+            else None,
         )
 
     def packets(self, positions: mi.Float) -> mi.Float:
@@ -119,7 +126,27 @@ class _Stencil:
         length2 = dr.squared_norm(t)
         # A vertex whose tangents cancel, or without UV area: the direction that the export takes, without a gradient.
         t = dr.select(length2 > 1e-12, t * dr.rsqrt(dr.maximum(length2, 1e-12)), dr.detach(_any_tangent(n)))
-        return dr.ravel(mi.ArrayXf([*p, self.uv.x, *n, self.uv.y, *t, self.handedness]))
+        return dr.ravel(mi.ArrayXf([*p, self.uv.x, *n, self.uv.y, *t, self._w(face_p)]))
+
+    def _w(self, face_p: list[mi.Point3f]) -> mi.Float:
+        """
+        Handedness times the density of the UV around each vertex, the root mean square of what the two directions on
+        the surface have: |∂uv/∂p|² / 2, weighted by squared areas, so that slivers, whose own is not a number, say
+        nothing.
+
+        Taken from the vertices it is continuous across edges, which that of a face is not: a jump of the mip level
+        within the surface would be one that no edge sample sees.
+        """
+        if self.metric is None:
+            return self.handedness
+        e1, e2 = mi.Vector3f(face_p[1] - face_p[0]), mi.Vector3f(face_p[2] - face_p[0])
+        uu, uv, vv = self.metric
+        stretch = uu * dr.squared_norm(e2) - 2 * uv * dr.dot(e1, e2) + vv * dr.squared_norm(e1)
+        total = dr.zeros(mi.Float, self.n_vertices * 2)
+        for c in range(3):
+            dr.scatter_add(total, mi.Vector2f(stretch, dr.squared_norm(dr.cross(e1, e2))), self.face_vertices[c])
+        total = dr.gather(mi.Vector2f, total, dr.arange(mi.UInt32, self.n_vertices))
+        return self.handedness * dr.sqrt(dr.maximum(0.5 * total.x / dr.maximum(total.y, 1e-24), 1e-12))
 
     def _normals(self, face_p: list[mi.Point3f]) -> mi.Float:
         n = dr.cross(face_p[1] - face_p[0], face_p[2] - face_p[0])

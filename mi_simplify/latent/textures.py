@@ -4,6 +4,7 @@ The latent textures in one packed image, so that a lookup is a few wide gathers 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -11,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..upload import upload
+from .mips import filtered_levels, n_levels
 
 #: Order of the channels in memory; the last four are there only where opacity or gamma is used.
 CHANNELS = ("red", "green", "blue", "roughness", "metallic", "nx", "ny", "nz", "opacity", "gamma", "free0", "free1")
@@ -35,11 +37,28 @@ class Footprint:
     """
     The texels that a lookup reads: where they are stored, in the order 00, 10, 01, 11, and the fractions towards the
     second column and row, which carry the derivative by the UV.
+
+    Of a trilinear lookup these are the texels of the finer level; ``coarser`` has the others, and ``blend`` the fraction
+    towards them, which carries the derivative by the level.
     """
 
     index: list[mi.UInt32]
     fx: mi.Float
     fy: mi.Float
+    coarser: Footprint | None = None
+    blend: mi.Float | None = None
+
+    def weighted(self) -> list[tuple[mi.UInt32, mi.Float]]:
+        """
+        All texels with their detached weights, which sum to one.
+        """
+        fx, fy = dr.detach(self.fx), dr.detach(self.fy)
+        weights = ((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy)
+        own = list(zip(self.index, weights, strict=True))
+        if self.coarser is None:
+            return own
+        blend = dr.detach(self.blend)
+        return [(i, w * (1 - blend)) for i, w in own] + [(i, w * blend) for i, w in self.coarser.weighted()]
 
 
 #: Texels are stored in square tiles of this side: what one lookup reads lies close together, and so do its neighbours'.
@@ -64,7 +83,7 @@ class TouchedBlocks:
         One flag a block; a pending side effect of the caller's next kernel.
         """
         flags = dr.zeros(mi.UInt32, textures.n_stored // BLOCK)
-        blocks = [i // BLOCK for i in footprint.index]
+        blocks = [i // BLOCK for i, _ in footprint.weighted()]
         for k, block in enumerate(blocks):
             is_new = mi.Bool(True)
             for earlier in blocks[:k]:
@@ -110,36 +129,37 @@ class TexelGradient:
         texels touched, not with those there are.
         """
         values = dr.zeros(mi.Float, blocks.room * BLOCK * textures.n_channels)
-        fx, fy = dr.detach(footprint.fx), dr.detach(footprint.fy)
-        weights = ((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy)
-        for i, w in zip(footprint.index, weights, strict=True):
+        for i, w in footprint.weighted():
             block = i // BLOCK
             target = dr.gather(mi.UInt32, blocks.slot, block) * BLOCK + (i - block * BLOCK)
             # A private copy per thread: atomics on a coherent image cost twenty times as much.
             dr.scatter_reduce(dr.ReduceOp.Add, values, grad * w, target, mode=dr.ReduceMode.Expand)
         return TexelGradient(blocks.blocks, values)
 
-    def dense(self, textures: Textures) -> mi.Float:
+    def spread_out(self, textures: Textures) -> mi.Float:
         """
-        Gradient of all texels, row by row, width H·W·channels.
+        Gradient of all texels as they are stored, width n_stored·channels.
         """
-        n = textures.n_channels
-        out = dr.zeros(mi.Float, textures.n_stored * n)
-        span = BLOCK * n
+        out = dr.zeros(mi.Float, textures.n_stored * textures.n_channels)
+        span = BLOCK * textures.n_channels
         lane = dr.arange(mi.UInt32, dr.width(self.blocks) * span)
         block = lane // span
         place = dr.gather(mi.UInt32, self.blocks, block) * span + (lane - block * span)
         dr.scatter(out, dr.gather(mi.Float, self.values, lane), place)
-        texel = dr.arange(mi.UInt32, textures.n_texels)
-        row = texel // textures.width
-        place = textures.place(row, texel - row * textures.width)
-        return dr.ravel(dr.gather(mi.ArrayXf, out, place, shape=(n, textures.n_texels)))
+        return out
+
+    def dense(self, textures: Textures, level: int = 0) -> mi.Float:
+        """
+        Gradient of all texels of a level, row by row, width H·W·channels.
+        """
+        n, place = textures.n_channels, textures.places(level)
+        return dr.ravel(dr.gather(mi.ArrayXf, self.spread_out(textures), place, shape=(n, dr.width(place))))
 
 
 @dataclass(init=False, eq=False)
 class Textures:
     """
-    Packed base colour, roughness, metalness, normal and, on request, opacity and γ.
+    Packed base colour, roughness, metalness, normal and, on request, opacity and γ, in one level or a chain of them.
 
     Parameters
     ----------
@@ -149,40 +169,88 @@ class Textures:
     normal : ndarray, shape (H, W, 3)
     extended : bool
         Keep opacity and γ; else they are 1 and 0.
+    mips : {'none', 'derived', 'custom'}
+        Coarser levels: none; each the mean of the next finer one (2x2 box), as viewers make them; or parameters of
+        their own.
+    coarser : sequence of dict
+        Images of the coarser levels, as :meth:`images` gives them, to start custom ones from; without it those of
+        ``mips.filtered_levels``.
+
+    Raises
+    ------
+    ValueError
+        Mip levels of a texture whose sides are not powers of two.
     """
 
     data: mi.Float
     height: int
     width: int
     n_channels: int
+    n_levels: int
+    offsets: mi.UInt32
+    mips: str
 
-    def __init__(self, base_color: np.ndarray, specular: np.ndarray, normal: np.ndarray, extended: bool = False):
+    def __init__(
+        self,
+        base_color: np.ndarray,
+        specular: np.ndarray,
+        normal: np.ndarray,
+        extended: bool = False,
+        mips: str = "none",
+        coarser: Sequence[dict[str, np.ndarray]] = (),
+    ):
         self.height, self.width = base_color.shape[:2]
-        self.n_channels = 12 if extended else 8
-        planes = [base_color[..., :3], specular[..., 1:3], normal]
-        if extended:
-            planes += [base_color[..., 3:4], specular[..., :1], np.zeros((self.height, self.width, 2))]
+        self.n_channels, self.mips = 12 if extended else 8, mips
+        self.n_levels = 1 if mips == "none" else n_levels(self.height, self.width)
+        sizes = [self.size(k) for k in range(self.n_levels)]
+        first = np.cumsum([0] + [-(-w // TILE) * -(-h // TILE) * TILE**2 for h, w in sizes])
+        self.n_stored, self.offsets = int(first[-1]), upload(mi.UInt32, first[:-1])
+        levels = [dict(base_color=base_color, specular=specular, normal=normal)]
+        if mips == "custom":
+            levels += coarser or filtered_levels(*levels[0].values())
         packed = np.zeros((self.n_stored, self.n_channels), np.float32)
-        packed[self.place(*np.indices((self.height, self.width)))] = np.concatenate(planes, axis=2)
+        for level, images in enumerate(levels):
+            where = first[level] + self.place(*np.indices(sizes[level]), sizes[level][1])
+            packed[where] = self._packed(**images)
         self.data = upload(mi.Float, packed.ravel())
         self._room = 0
+        self.refresh()
+
+    def _packed(self, base_color: np.ndarray, specular: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """The images of a level in the order of the channels, shape (H, W, channels)."""
+        planes = [base_color[..., :3], specular[..., 1:3], normal]
+        if self.extended:
+            planes += [base_color[..., 3:4], specular[..., :1], np.zeros((*base_color.shape[:2], 2))]
+        return np.concatenate(planes, axis=2)
+
+    def size(self, level: int) -> tuple[int, int]:
+        """
+        Height and width of a level [texels].
+        """
+        return max(self.height >> level, 1), max(self.width >> level, 1)
 
     @property
     def n_texels(self) -> int:
-        """Texels in all."""
+        """Texels of the finest level."""
         return self.width * self.height
 
-    @property
-    def n_stored(self) -> int:
-        """Texels in memory: those of whole tiles."""
-        return -(-self.width // TILE) * -(-self.height // TILE) * TILE**2
-
-    def place(self, row, column):
+    def place(self, row, column, width=None):
         """
-        Where a texel is stored, counted in texels; for NumPy and Dr.Jit integers.
+        Where a texel of a level of that width, by default the finest one's, is stored, counted in texels from the
+        level's first; for NumPy and Dr.Jit integers.
         """
-        tile = (row // TILE) * -(-self.width // TILE) + column // TILE
+        width = self.width if width is None else width
+        tile = (row // TILE) * ((width + (TILE - 1)) // TILE) + column // TILE
         return (tile * TILE + row % TILE) * TILE + column % TILE
+
+    def places(self, level: int) -> mi.UInt32:
+        """
+        Where all texels of a level are stored, row by row.
+        """
+        height, width = self.size(level)
+        texel = dr.arange(mi.UInt32, height * width)
+        row = texel // width
+        return self.place(row, texel - row * width, width) + dr.gather(mi.UInt32, self.offsets, level)
 
     def gradient_room(self, n_blocks: int) -> int:
         """
@@ -201,11 +269,12 @@ class Textures:
         """Whether opacity and γ are there."""
         return self.n_channels == 12
 
-    def images(self) -> dict[str, np.ndarray]:
+    def images(self, level: int = 0) -> dict[str, np.ndarray]:
         """
-        ``base_color`` (H, W, 4), ``specular`` (H, W, 3) and unit ``normal`` (H, W, 3) in NumPy.
+        ``base_color`` (H, W, 4), ``specular`` (H, W, 3) and unit ``normal`` (H, W, 3) of a level in NumPy.
         """
-        data = self.data.numpy().reshape(-1, self.n_channels)[self.place(*np.indices((self.height, self.width)))]
+        place = self.places(level).numpy().reshape(self.size(level))
+        data = self.data.numpy().reshape(-1, self.n_channels)[place]
         one, zero = np.ones_like(data[..., :1]), np.zeros_like(data[..., :1])
         opacity, gamma = (data[..., 8:9], data[..., 9:10]) if self.extended else (one, zero)
         normal = data[..., 5:8]
@@ -216,33 +285,114 @@ class Textures:
             normal=normal,
         )
 
-    def footprint(self, u: mi.Float, v: mi.Float) -> Footprint:
+    def refresh(self) -> None:
         """
-        The four texels around a UV and their bilinear weights, texel centres at ``(k + .5)/N``, repeating.
+        Make derived levels anew from the finest one.
         """
-        x, y = dr.fma(u, self.width, -0.5), dr.fma(v, self.height, -0.5)
+        if self.mips != "derived":
+            return
+        n = self.n_channels
+        for level in range(1, self.n_levels):
+            finer, target = self.places(level - 1), self.places(level)
+            (fine_height, fine_width), width = self.size(level - 1), self.size(level)[1]
+            texel = dr.arange(mi.UInt32, dr.width(target))
+            row = texel // width
+            values = mi.ArrayXf(0)
+            for j, i in ((0, 0), (0, 1), (1, 0), (1, 1)):  # a level one texel wide has no second row or column
+                r = dr.minimum(2 * row + j, fine_height - 1)
+                c = dr.minimum(2 * (texel - row * width) + i, fine_width - 1)
+                place = dr.gather(mi.UInt32, finer, r * fine_width + c)
+                values = values + 0.25 * dr.gather(mi.ArrayXf, self.data, place, shape=(n, dr.width(place)))
+            dr.eval(values)
+            dr.scatter(self.data, values, target)
+            dr.eval(self.data)
+
+    def folded(self, grad: TexelGradient) -> TexelGradient:
+        """
+        The gradient of what is a parameter: with derived levels that of the finest one, through which all are made.
+        """
+        if self.mips != "derived" or self.n_levels == 1:
+            return grad
+        n = self.n_channels
+        load = lambda buffer, i: dr.gather(mi.ArrayXf, buffer, i, shape=(n, dr.width(i)))  # noqa: E731
+        stored = grad.spread_out(self)
+        total = load(stored, self.places(self.n_levels - 1))
+        for level in reversed(range(self.n_levels - 1)):
+            height, width = self.size(level)
+            texel = dr.arange(mi.UInt32, height * width)
+            row = texel // width
+            above = (row // 2) * self.size(level + 1)[1] + (texel - row * width) // 2
+            share = 0.5 if 1 in (height, width) else 0.25  # of two texels, or of four
+            flat = dr.ravel(total)
+            dr.eval(flat)
+            total = load(stored, self.places(level)) + share * load(flat, above)
+        place, span = self.places(0), BLOCK * n
+        values = dr.zeros(mi.Float, -(-self.width // TILE) * -(-self.height // TILE) * TILE**2 * n)
+        dr.scatter(values, total, place)
+        dr.eval(values)
+        return TexelGradient(dr.arange(mi.UInt32, dr.width(values) // span), values)
+
+    def level(self, length: mi.Float) -> mi.Float:
+        """
+        The level whose texels are as long as a length in UV space; differentiable.
+        """
+        texels = length * (self.width * self.height) ** 0.5
+        return dr.clip(dr.log2(dr.maximum(texels, 1e-6)), 0, self.n_levels - 1)
+
+    def footprint(self, u: mi.Float, v: mi.Float, level: mi.Float | None = None) -> Footprint:
+        """
+        The texels around a UV and their bilinear weights, texel centres at ``(k + .5)/N``, repeating.
+
+        Parameters
+        ----------
+        level : mi.Float, optional
+            Read between two levels, 0 the finest; needed where there are several.
+        """
+        if self.n_levels == 1:
+            return self._around(u, v)
+        if level is None:
+            raise ValueError("a texture with mip levels is read at a level")
+        fine = mi.UInt32(dr.minimum(dr.floor(dr.detach(level)), self.n_levels - 2))
+        footprint = self._around(u, v, fine)
+        footprint.coarser, footprint.blend = self._around(u, v, fine + 1), level - mi.Float(fine)
+        return footprint
+
+    def _around(self, u: mi.Float, v: mi.Float, level: mi.UInt32 | None = None) -> Footprint:
+        """Texels of one level, the same for all or one of each lane's own."""
+        width, height, first = self.width, self.height, 0
+        if level is not None:
+            width, height = (mi.Int32(dr.maximum(mi.UInt32(n) >> level, 1)) for n in (width, height))
+            first = dr.gather(mi.UInt32, self.offsets, level)
+        scale = (lambda n: n) if level is None else mi.Float
+        x, y = dr.fma(u, scale(width), -0.5), dr.fma(v, scale(height), -0.5)
         x0, y0 = dr.floor(dr.detach(x)), dr.floor(dr.detach(y))
-        ix, iy = self._wrap(mi.Int32(x0), self.width), self._wrap(mi.Int32(y0), self.height)
-        jx = dr.select(ix + 1 < self.width, ix + 1, 0)
-        jy = dr.select(iy + 1 < self.height, iy + 1, 0)
-        index = [self.place(mi.UInt32(r), mi.UInt32(c)) for r in (iy, jy) for c in (ix, jx)]
+        ix, iy = self._wrap(mi.Int32(x0), width), self._wrap(mi.Int32(y0), height)
+        jx = dr.select(ix + 1 < width, ix + 1, 0)
+        jy = dr.select(iy + 1 < height, iy + 1, 0)
+        width = None if level is None else mi.UInt32(width)
+        index = [self.place(mi.UInt32(r), mi.UInt32(c), width) + first for r in (iy, jy) for c in (ix, jx)]
         return Footprint(index, x - x0, y - y0)
 
     @staticmethod
-    def _wrap(i: mi.Int32, n: int) -> mi.Int32:
+    def _wrap(i: mi.Int32, n: int | mi.Int32) -> mi.Int32:
+        if not isinstance(n, int):
+            return i & (n - 1)  # of mip levels, whose sides are powers of two
         i = i - n * mi.Int32(dr.floor(mi.Float(i) * (1 / n)))
         # The quotient of a multiple of n may come out one off.
         return dr.select(i < 0, i + n, dr.select(i >= n, i - n, i))
 
     def lookup(self, footprint: Footprint) -> mi.ArrayXf:
         """
-        Bilinear texel values, shape (channels, N); differentiable by the UV, never by the texels, for which there is
-        :class:`TexelGradient`.
+        Bilinear or trilinear texel values, shape (channels, N); differentiable by UV and level, never by the texels,
+        for which there is :class:`TexelGradient`.
         """
         data = dr.detach(self.data)
         shape = (self.n_channels, dr.width(footprint.index[0]))
         a, b, c, d = (dr.gather(mi.ArrayXf, data, i, shape=shape) for i in footprint.index)
-        return dr.lerp(dr.lerp(a, b, footprint.fx), dr.lerp(c, d, footprint.fx), footprint.fy)
+        value = dr.lerp(dr.lerp(a, b, footprint.fx), dr.lerp(c, d, footprint.fx), footprint.fy)
+        if footprint.coarser is None:
+            return value
+        return dr.lerp(value, self.lookup(footprint.coarser), footprint.blend)
 
     def unpack(self, value: mi.ArrayXf) -> Texels:
         """

@@ -25,14 +25,14 @@ _CHANNELS = {
 
 class Batched:
     """
-    Images and gradients of a scene by :class:`DeferredRenderer`.
+    Images and gradients of a scene by :class:`DeferredRenderer`, with mip levels of this kind.
     """
 
-    def __init__(self, scene: Scene, **options):
-        self.scene = scene
+    def __init__(self, scene: Scene, mips: str = "none", **options):
+        self.scene, self.mips = scene, mips
         self.start = scene.state()
         self.views = scene.views()
-        self.topology = MeshTopology(scene.mesh)
+        self.topology = MeshTopology(scene.mesh, density=mips != "none")
         self.renderer = DeferredRenderer(self.topology, **options)
 
     @property
@@ -43,7 +43,7 @@ class Batched:
     def _textures(self, state: State) -> Textures:
         base = np.concatenate([state["base_color"], state["opacity"]], axis=2)
         specular = np.concatenate([state["gamma"], state["roughness"], state["metallic"]], axis=2)
-        return Textures(base, specular, state["normal"], extended=True)
+        return Textures(base, specular, state["normal"], extended=True, mips=self.mips)
 
     def _views(self, state: State) -> Views:
         arrays = self.views.arrays()
@@ -96,7 +96,9 @@ class Batched:
                 value = dr.grad(leaf).numpy()
                 out[name] = value.reshape(-1, 3) if name == "positions" else value.T
         n = self.scene.n_texels
-        packed = np.zeros((n, n, 12)) if texels is None else texels.dense(textures).numpy().reshape(n, n, -1)
+        packed = np.zeros((n, n, 12))
+        if texels is not None:
+            packed = textures.folded(texels).dense(textures).numpy().reshape(n, n, -1)
         for name, (low, high) in _CHANNELS.items():
             if name in attach:
                 out[name] = packed[..., low:high]
