@@ -230,3 +230,9 @@ def test_every_key_says_what_it_means():
             yield from part["properties"].items()
 
     assert [name for name, field in fields(json_schema()) if "$ref" not in field and not field.get("description")] == []
+
+
+def test_mips_want_an_atlas_that_can_be_halved():
+    with pytest.raises(ConfigError, match="needs an `initial.atlas_size` that is a power of two, it is 100"):
+        load_config(None, [RELIC, "latent.mips=custom", "initial.atlas_size=100"])
+    load_config(None, [RELIC, "initial.atlas_size=100"])

@@ -93,3 +93,16 @@ def test_a_fitted_model_gives_away_only_what_was_fitted(quantities, changed):
     assert result.alpha_mode == "MASK" and result.name == guess.name and result.mesh.faces is fitted.mesh.faces
     for name, value in parts(result).items():
         assert np.array_equal(value, parts(fitted if name in changed else guess)[name]), name
+
+
+def test_custom_mips_come_back_as_they_went_in():
+    first = model(size=16)
+    start = Latent(first, extended=True, mips="custom").model(first.mesh.positions)
+    assert [level["normal"].shape[0] for level in start.mips] == [8, 4, 2, 1]
+    again = Latent(start, extended=True, mips="custom").model(first.mesh.positions)
+    for a, b in zip(start.mips, again.mips, strict=True):
+        assert all(np.allclose(a[name], b[name], atol=1e-6) for name in a)
+    assert Latent(first, mips="derived").model(first.mesh.positions).mips == ()
+    kept = start.taking(Latent(model(1, size=16), True, "custom").model(first.mesh.positions), ("normal",))
+    assert np.array_equal(kept.mips[0]["base_color"], start.mips[0]["base_color"])
+    assert not np.allclose(kept.mips[0]["normal"], start.mips[0]["normal"])

@@ -48,6 +48,8 @@ def kernels(step) -> set:
         ("opacity and gamma", {"latent": {"optimize": ["base_color", "opacity", "gamma", "vertices"]}}),
         ("textures alone", {"latent": {"optimize": ["base_color", "normal"]}}),
         ("plain Adam, another loss", {"optimizer": {"large_steps": {"enabled": False}}, "loss": {"image": "smape"}}),
+        ("custom mips", {"latent": {"mips": "custom"}}),
+        ("derived mips", {"latent": {"mips": "derived"}}),
         ("several samples a pixel", {"optimizer": {"spp": 4}}),
     ],
 )

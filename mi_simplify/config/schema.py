@@ -143,6 +143,11 @@ class Latent(Section):
     shading: Literal["gltf", "paper"] = Field(
         "gltf", description="`gltf`: as glTF viewers shade. `paper`: Lambert plus specular, without energy exchange."
     )
+    mips: Literal["none", "derived", "custom"] = Field(
+        "none",
+        description="Coarser levels of the textures, read by the size of a pixel: none; `derived` by averaging, as "
+        "viewers do; `custom`: each level is fitted by itself.",
+    )
 
 
 class Light(Section):
@@ -255,3 +260,10 @@ class Config(Section):
     loss: Loss = Loss()
     evaluation: Evaluation = Evaluation()
     export: Export = Export()
+
+    @model_validator(mode="after")
+    def _mips_can_be_halved(self) -> Config:
+        size = self.initial.atlas_size
+        if self.latent.mips != "none" and size & (size - 1):
+            raise ValueError(f"`latent.mips` needs an `initial.atlas_size` that is a power of two, it is {size}")
+        return self

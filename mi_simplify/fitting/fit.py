@@ -45,7 +45,7 @@ class Fit:
         self.config, self.first_guess = config, model
         optimize, rates = set(config.latent.optimize), config.optimizer.rates
         extended = optimize & {"opacity", "gamma"} or model.alpha_mode != "OPAQUE" or model.specular[..., 0].any()
-        self.latent = Latent(model, extended=bool(extended))
+        self.latent = Latent(model, extended=bool(extended), mips=config.latent.mips)
         base = self.latent.operation.base
         matched = config.reference.transport == "matched"
         self.renderer = DeferredRenderer(self.latent.topology, form=config.latent.shading, shadows=matched)

@@ -43,8 +43,8 @@ class Fragment:
     Surface attributes where a ray meets a known triangle; all follow the surface along the *fixed* ray.
 
     ``normal`` and ``tangent`` are interpolated, ``normal`` is unit length, ``tangent`` neither unit nor orthogonal;
-    ``handedness`` is ±1; ``density`` says how far the UV moves per unit length, where the surface knows it, else it is 1;
-    ``geometric_normal`` is detached; ``is_back`` says that the ray meets the triangle's back.
+    ``handedness`` is ±1; ``density`` says how far the UV moves per unit length where the surface knows it, else it is
+    1; ``geometric_normal`` is detached; ``is_back`` says that the ray meets the triangle's back.
     """
 
     p: mi.Point3f

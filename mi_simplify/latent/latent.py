@@ -27,13 +27,15 @@ class Latent:
         First guess, in the normalised frame.
     extended : bool
         Keep opacity and γ in the textures.
+    mips : {'none', 'derived', 'custom'}
+        Coarser levels of the textures, see :class:`.textures.Textures`; custom ones start from the model's own.
     """
 
-    def __init__(self, model: Model, extended: bool = False):
+    def __init__(self, model: Model, extended: bool = False, mips: str = "none"):
         self._model = replace(model, mesh=split_mirrored(model.mesh))
         self.operation = operation_of(self._model)
-        self.topology = MeshTopology(self.operation.mesh)
-        self.textures = Textures(model.base_color, model.specular, model.normal, extended)
+        self.topology = MeshTopology(self.operation.mesh, density=mips != "none")
+        self.textures = Textures(model.base_color, model.specular, model.normal, extended, mips, model.mips)
 
     def evaluate(self, positions: mi.Float) -> Surface:
         """
@@ -64,4 +66,6 @@ class Latent:
 
     def _with(self, mesh, positions: np.ndarray) -> Model:
         mesh = replace(mesh, positions=np.asarray(positions, np.float64).reshape(-1, 3))
-        return replace(self._model, mesh=mesh, **self.textures.images())
+        own = range(1, self.textures.n_levels) if self.textures.mips == "custom" else ()
+        mips = tuple(self.textures.images(level) for level in own)
+        return replace(self._model, mesh=mesh, mips=mips, **self.textures.images())

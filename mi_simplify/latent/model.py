@@ -77,6 +77,9 @@ class Model:
         Unit vectors in MikkTSpace tangent space, +Y up the image.
     alpha_mode : {'OPAQUE', 'MASK', 'BLEND'}
         As in glTF.
+    mips : tuple of dict
+        Coarser levels of the textures where they are the model's own and not means of the finest: ``base_color``,
+        ``specular`` and ``normal``, each half as large as the one before.
     """
 
     mesh: Mesh
@@ -86,6 +89,7 @@ class Model:
     alpha_mode: str = "OPAQUE"
     alpha_cutoff: float = 0.5
     name: str = "model"
+    mips: tuple[dict[str, np.ndarray], ...] = ()
 
     @property
     def n_triangles(self) -> int:
@@ -120,16 +124,15 @@ class Model:
         if "vertices" not in quantities:
             mesh = replace(mesh, positions=self.mesh.positions)
 
-        def channels(name: str, owners: tuple[str, ...]) -> np.ndarray:
-            taken = np.array([owner in quantities for owner in owners])
-            return np.where(taken, getattr(fitted, name), getattr(self, name))
-
-        return replace(
-            fitted, mesh=mesh,
-            base_color=channels("base_color", ("base_color",) * 3 + ("opacity",)),
-            specular=channels("specular", ("gamma", "roughness", "metallic")),
-            normal=channels("normal", ("normal",) * 3),
-        )  # fmt: skip
+        taken = {name: np.array([owner in quantities for owner in owners]) for name, owners in _OWNERS.items()}
+        images = {name: np.where(taken[name], getattr(fitted, name), getattr(self, name)) for name in taken}
+        mips = fitted.mips
+        if self.mips:
+            mips = tuple(
+                {name: np.where(taken[name], new[name], old[name]) for name in taken}
+                for new, old in zip(mips, self.mips, strict=True)
+            )
+        return replace(fitted, mesh=mesh, mips=mips, **images)
 
     def as_asset(self) -> Asset:
         """
@@ -144,3 +147,11 @@ class Model:
             name=self.name,
         )
         return Asset((part,), (Instance(0, name=self.name),), name=self.name)
+
+
+#: Which quantities the channels of the textures are.
+_OWNERS = {
+    "base_color": ("base_color",) * 3 + ("opacity",),
+    "specular": ("gamma", "roughness", "metallic"),
+    "normal": ("normal",) * 3,
+}

@@ -24,8 +24,8 @@ class Surface:
     Parameters
     ----------
     packets : mi.Float, width V·12
-        Per vertex: position and u, unit normal and v, unit tangent and w. The sign of w is the handedness, its magnitude
-        how far the UV moves per unit length, or 1.
+        Per vertex: position and u, unit normal and v, unit tangent and w. The sign of w is the handedness, its
+        magnitude how far the UV moves per unit length, or 1.
     faces : mi.UInt32, width F·4
         Three vertex indices a face and one unused.
     """

@@ -38,8 +38,8 @@ class Footprint:
     The texels that a lookup reads: where they are stored, in the order 00, 10, 01, 11, and the fractions towards the
     second column and row, which carry the derivative by the UV.
 
-    Of a trilinear lookup these are the texels of the finer level; ``coarser`` has the others, and ``blend`` the fraction
-    towards them, which carries the derivative by the level.
+    Of a trilinear lookup these are the texels of the finer level; ``coarser`` has the others, and ``blend`` the
+    fraction towards them, which carries the derivative by the level.
     """
 
     index: list[mi.UInt32]
@@ -207,7 +207,7 @@ class Textures:
         self.n_stored, self.offsets = int(first[-1]), upload(mi.UInt32, first[:-1])
         levels = [dict(base_color=base_color, specular=specular, normal=normal)]
         if mips == "custom":
-            levels += coarser or filtered_levels(*levels[0].values())
+            levels += list(coarser) or filtered_levels(*levels[0].values())
         packed = np.zeros((self.n_stored, self.n_channels), np.float32)
         for level, images in enumerate(levels):
             where = first[level] + self.place(*np.indices(sizes[level]), sizes[level][1])
