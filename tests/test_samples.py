@@ -62,9 +62,24 @@ def test_no_mirror_image_looks_the_same(relic, axis):
     assert (a ^ b).sum() / (a | b).sum() > 0.2
 
 
+@pytest.mark.parametrize(("name", "modes"), [("shrub", {"OPAQUE"}), ("fern", {"OPAQUE", "MASK"})])
+def test_a_plant_is_a_million_triangles_of_few_parts_in_a_tree_of_nodes(name, modes):
+    asset = sample_asset(name)
+    assert asset.n_triangles > 1_000_000 and len(asset.parts) < 30 and len(asset.instances) > 2000
+    assert {p.material.alpha_mode for p in asset.parts} == modes
+    depth = {len(i.node.split("/")) for i in asset.instances}
+    assert min(depth) >= 2 and len({i.node for i in asset.instances}) > 50
+    low, high = asset.bounds
+    assert 1 < (high - low).max() < 4
+    again = sample_asset(name)
+    assert all(np.array_equal(a.to_world, b.to_world) for a, b in zip(asset.instances, again.instances, strict=True))
+    small = sample_asset(f"{name}:30k")
+    assert 20_000 < small.n_triangles < 45_000 and digest(small) == digest(sample_asset(f"{name}:30k"))
+
+
 def test_unknown_names_say_what_there_is():
-    assert sample_names() == ["relic"]
-    with pytest.raises(AssetError, match="there is relic"):
+    assert sample_names() == ["relic", "shrub", "fern"]
+    with pytest.raises(AssetError, match="there is relic, shrub, fern"):
         sample_asset("teapot")
     with pytest.raises(AssetError, match="relic:20k"):
         sample_asset("relic:many")

@@ -6,6 +6,7 @@ import pytest
 from tiny_meshes import charted_sphere
 
 from mi_simplify.latent.model import Model
+from mi_simplify.scenes import shapes
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 from mi_simplify.scenes.reference import make_reference
 from mi_simplify.scenes.shapes import (
@@ -191,8 +192,10 @@ def placements(n):
 
 
 @pytest.mark.parametrize("normal", [None, [0.48, 0.36, 0.8]])
-def test_many_instances_look_like_copies(normal):
-    """More than a handful of placements become Mitsuba instances of one mesh, turned and mirrored ones too."""
+@pytest.mark.parametrize("copied", [10**6, 0])
+def test_many_placements_look_like_copies(normal, copied, monkeypatch):
+    """More than a handful of placements become one mesh, or Mitsuba instances of one, turned and mirrored ones too."""
+    monkeypatch.setattr(shapes, "_COPIED", copied)
     mesh, rng = charted_sphere(6, noise=0.01), np.random.default_rng(1)
     if normal is not None:
         normal = np.tile(np.float32(normal), (2, 2, 1))
@@ -200,7 +203,8 @@ def test_many_instances_look_like_copies(normal):
     instances = placements(12)
     many = Asset((part,), instances)
     copies = Asset((part, part), tuple(Instance(k // 6, i.to_world) for k, i in enumerate(instances)))
-    assert sum(type(s).__name__ != "Mesh" for s in asset_shapes(many).values()) == 13  # a group and its instances
+    kinds = [type(s).__name__ for s in asset_shapes(many).values()]
+    assert kinds == ["Mesh"] if copied else len(kinds) == 13 and "Mesh" not in kinds  # a group and its instances
     assert len(asset_shapes(copies)) == 12
     a, b = (picture(x, size=64, spp=16) for x in (many, copies))
     assert np.array_equal(a[..., 3] > 0, b[..., 3] > 0)

@@ -88,11 +88,15 @@ class Instance:
         Index into ``Asset.parts``.
     to_world : ndarray, shape (4, 4), float64
         Affine transform, column vectors; may mirror.
+    node : str
+        Where it hangs in the file's tree of nodes: their names from the root on, with slashes between; empty where
+        there is no tree.
     """
 
     part: int
     to_world: np.ndarray = field(default_factory=lambda: np.eye(4))
     name: str = "instance"
+    node: str = ""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from .asset import Material, Part
+from .noise import cloud_noise, lattice_hash, smooth_noise
 from .parametric import Curve, join, lathe, paint, smoothstep, surface, tube, unit
 
 GOLD = np.array([0.83, 0.56, 0.16])
@@ -21,28 +22,6 @@ def _steps(detail: float, *counts: int) -> tuple[int, ...]:
 
 def _texels(detail: float, *counts: int) -> tuple[int, ...]:
     return counts if detail > 0.74 else tuple(n // 2 for n in counts)
-
-
-def _hash(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A number in [0, 1) for every pair of integers; integer arithmetic, so the same on every machine."""
-    n = np.asarray(x).astype(np.int64) * 374_761_393 + np.asarray(y).astype(np.int64) * 668_265_263
-    n = ((n ^ (n >> 13)) * 1_274_126_177) & 0xFFFFFFFF
-    return (n ^ (n >> 16)) / 2.0**32
-
-
-def _noise(u: np.ndarray, v: np.ndarray, columns: int, rows: int) -> np.ndarray:
-    """Smooth noise in [0, 1] on a lattice that repeats in u; u and v in [0, 1]."""
-    lattice = _hash(*np.meshgrid(np.arange(columns) + 7, np.arange(rows + 2) + 3, indexing="ij"))
-    x, y = u * columns, v * rows
-    x0, y0 = x.astype(np.int64), y.astype(np.int64)
-    fx, fy = (f * f * (3 - 2 * f) for f in (x - x0, y - y0))
-    x0, x1 = x0 % columns, (x0 + 1) % columns
-    top = lattice[x0, y0] * (1 - fx) + lattice[x1, y0] * fx
-    return top * (1 - fy) + (lattice[x0, y0 + 1] * (1 - fx) + lattice[x1, y0 + 1] * fx) * fy
-
-
-def _clouds(u: np.ndarray, v: np.ndarray, columns: int, rows: int, octaves: int = 4) -> np.ndarray:
-    return sum(_noise(u, v, columns << k, rows << k) * 0.5 ** (k + 1) for k in range(octaves))
 
 
 def _egg_profile(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -60,7 +39,7 @@ def _egg_inlay(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     height = 3 * np.log(np.tan(np.pi * np.clip(v, 0.02, 0.98) / 2))  # Mercator, so that meshes keep their angles
     p, q = 8 * u + 1.1 * height, 13 * u - 0.8 * height
     dp, dq = np.abs(p - np.round(p)), np.abs(q - np.round(q))
-    kind = _hash(np.floor(p) % 8, np.floor(q) % 13)
+    kind = lattice_hash(np.floor(p) % 8, np.floor(q) % 13)
     away = np.minimum(dp, dq)  # 0 on a wire, .5 in the middle of a mesh
     rim = smoothstep(0.115, 0.1, v) + smoothstep(0.885, 0.9, v)  # caps at the poles
     wire = smoothstep(0.1, 0.055, away)
@@ -82,15 +61,15 @@ def egg(detail: float) -> Part:
     def shade(u, v):
         wire, bud, kind = _egg_inlay(u, v)
         wire = np.minimum(wire, 1)
-        clouds = _clouds(u, v, 6, 6, 5)
+        clouds = cloud_noise(u, v, 6, 6, 5)
         lapis = np.array([0.015, 0.045, 0.25]) + np.array([0.02, 0.07, 0.3]) * clouds[..., None]
-        speck = smoothstep(0.78, 0.86, _noise(u, v, 180, 150)) * smoothstep(0.45, 0.6, clouds)  # pyrite
+        speck = smoothstep(0.78, 0.86, smooth_noise(u, v, 180, 150)) * smoothstep(0.45, 0.6, clouds)  # pyrite
         jade = np.array([0.03, 0.3, 0.16]) * (0.6 + 0.8 * clouds[..., None])
         ruby = np.array([0.42, 0.015, 0.03]) * (0.7 + 0.6 * clouds[..., None])
         stone = np.where((kind > 0.8)[..., None], ruby, np.where((kind < 0.24)[..., None], jade, lapis))
         stone = lapis + (stone - lapis) * smoothstep(0.15, 0.3, bud)[..., None]
         metal = np.maximum(wire, speck * (1 - bud))
-        gold = GOLD * (0.85 + 0.3 * _noise(u, v, 40, 60))[..., None]
+        gold = GOLD * (0.85 + 0.3 * smooth_noise(u, v, 40, 60))[..., None]
         rgb = stone * (1 - metal[..., None]) + gold * metal[..., None]
         rgb *= (0.45 + 0.55 * np.maximum(smoothstep(0.0, 0.5, bud), wire))[..., None]  # dirt in the grooves
         return rgb, (0.32 - 0.12 * bud + 0.2 * (1 - bud) * (1 - wire)) * (1 - metal) + 0.3 * metal, np.round(metal)
@@ -140,7 +119,7 @@ def _scales(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
         away = np.hypot((shifted - np.round(shifted)) / 0.5, (y - row) / 0.62)
         nearer = away < best
         best = np.where(nearer, away, best)
-        kind = np.where(nearer, _hash(np.round(shifted) % 16, row), kind)
+        kind = np.where(nearer, lattice_hash(np.round(shifted) % 16, row), kind)
     back = smoothstep(1.05, 0.25, best)
     plates = smoothstep(0, 0.2, (v * 120) % 1) * (1 - smoothstep(0.75, 1.0, (v * 120) % 1))
     return back * (1 - belly) + plates * belly, kind, belly
@@ -168,7 +147,7 @@ def serpent(detail: float) -> Part:
         teal = np.array([0.01, 0.2, 0.24]) * (0.6 + 0.9 * kind[..., None])
         skin = teal + (emerald - teal) * stripe[..., None]
         gilded = (kind > 0.93) * (1 - belly) * (height > 0.2)
-        ivory = np.array([0.62, 0.5, 0.3]) * (0.75 + 0.35 * _noise(u, v, 12, 300))[..., None]
+        ivory = np.array([0.62, 0.5, 0.3]) * (0.75 + 0.35 * smooth_noise(u, v, 12, 300))[..., None]
         rgb = skin * (1 - belly[..., None]) + ivory * belly[..., None]
         rgb = np.where(gilded[..., None] > 0.5, GOLD, rgb)
         rgb = rgb * (0.2 + 0.8 * smoothstep(0.05, 0.5, height))[..., None]
@@ -255,10 +234,10 @@ def foot(detail: float) -> Part:
         return r + relief + 0.012 * beads * np.sqrt(np.abs(np.sin(30 * a))), y
 
     def shade(u, v):
-        clouds = _clouds(u, v, 8, 8, 5)
-        patina = smoothstep(0.5, 0.7, clouds) * smoothstep(0.3, 0.6, _noise(u, v, 24, 24))
+        clouds = cloud_noise(u, v, 8, 8, 5)
+        patina = smoothstep(0.5, 0.7, clouds) * smoothstep(0.3, 0.6, smooth_noise(u, v, 24, 24))
         groove = 0.55 + 0.45 * np.abs(np.sin(24 * np.pi * u + 6 * v)) ** 0.4 * np.ones_like(v)
-        gold = GOLD * (0.8 + 0.35 * _noise(u, v, 60, 60))[..., None] * groove[..., None]
+        gold = GOLD * (0.8 + 0.35 * smooth_noise(u, v, 60, 60))[..., None] * groove[..., None]
         green = np.array([0.08, 0.22, 0.17]) * (0.7 + 0.6 * clouds[..., None])
         metal = (patina < 0.5).astype(float)
         rgb = np.where(metal[..., None] > 0.5, gold, green)

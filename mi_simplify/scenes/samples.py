@@ -4,21 +4,24 @@ Models made by this code at run time; nothing is downloaded, nothing is read.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..errors import AssetError
 from . import relic
 from .asset import Asset, Instance
+from .plant import FULL, plant
 
-_FULL = 180_000
-"""About how many triangles a relic of detail 1 has."""
+_FULL = {"relic": 180_000, **FULL}
+"""About how many triangles each has in full."""
 
 
 def sample_names() -> list[str]:
     """
     Names that :func:`sample_asset` knows.
     """
-    return ["relic"]
+    return list(_FULL)
 
 
 def sample_asset(name: str = "relic") -> Asset:
@@ -28,8 +31,8 @@ def sample_asset(name: str = "relic") -> Asset:
     Parameters
     ----------
     name : str
-        ``relic``, or with a rough number of triangles ``relic:20k``, ``relic:5000``; below 100k the textures have half
-        the size.
+        ``relic``, an ornament, or one of the plants ``shrub`` and ``fern``; with a rough number of triangles
+        ``relic:20k``, ``shrub:5000``. Below 100k the relic's textures have half the size.
 
     Returns
     -------
@@ -42,9 +45,9 @@ def sample_asset(name: str = "relic") -> Asset:
         The name, or what follows the colon, is not known.
     """
     base, _, count = name.partition(":")
-    if base not in sample_names():
+    if base not in _FULL:
         raise AssetError(f"no sample is called {name!r}; there is {', '.join(sample_names())}")
-    detail = 1.0
+    share = 1.0
     if count:
         text = count.lower()
         try:
@@ -52,8 +55,11 @@ def sample_asset(name: str = "relic") -> Asset:
         except ValueError:
             wanted = 0.0
         if not 2_000 <= wanted <= 4_000_000:
-            raise AssetError(f"{name!r}: a number of triangles from 2k to 4000k goes after the colon, as in relic:20k")
-        detail = float(np.sqrt(wanted / _FULL))
+            raise AssetError(f"{name!r}: a number of triangles from 2k to 4000k goes after the colon, as in {base}:20k")
+        share = wanted / _FULL[base]
+    if base in FULL:
+        return replace(plant(base, share), source=f"sample:{name}")
+    detail = float(np.sqrt(share))
     parts = (relic.egg(detail), relic.serpent(detail), relic.eyes(detail), relic.foot(detail))
     instances = tuple(Instance(k, name=p.name) for k, p in enumerate(parts))
     return Asset(parts, instances, name=base, source=f"sample:{name}")

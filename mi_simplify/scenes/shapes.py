@@ -16,7 +16,7 @@ import numpy as np
 from ..latent.model import Mesh
 from ..latent.tangents import split_mirrored, vertex_tangents
 from ..latent.topology import vertex_normals, weld
-from .asset import Asset, Material, Part
+from .asset import Asset, Instance, Material, Part
 
 POSITIONS, FACES, NORMALS, UVS = "vertex_positions", "faces", "vertex_normals", "vertex_texcoords"
 
@@ -180,29 +180,50 @@ def _oriented(part: Part, normals: np.ndarray) -> Part:
     return replace(part, faces=part.faces[:, ::-1]) if agree < 0 else part
 
 
-#: Parts placed more often than this are kept as Mitsuba instances instead of being copied.
-_MANY = 8
+#: Parts placed more often than this become one mesh of all their copies, or, beyond so many triangles in all, Mitsuba
+#: instances: each of those is traced anew into every kernel, 0.15 s a piece, so that a thousand leaves take minutes.
+_MANY, _COPIED = 8, 20_000_000
 
 
 def asset_shapes(asset: Asset, *, form: str = "gltf") -> dict[str, mi.Object]:
     """
-    Mitsuba shapes of an asset for a scene dictionary; parts placed often become instances of a shape group.
+    Mitsuba shapes of an asset for a scene dictionary; the copies of a part placed often share a mesh or a shape group.
 
-    Those map normals along ∂p/∂u of the face: a mesh attribute, such as the tangents of the others, stays in the
-    coordinates of the group.
+    Instances of a group map normals along ∂p/∂u of the face: a mesh attribute, such as the tangents of the others,
+    stays in the coordinates of the group.
     """
     counts = np.bincount([i.part for i in asset.instances], minlength=len(asset.parts))
     few = replace(asset, instances=tuple(i for i in asset.instances if counts[i.part] <= _MANY))
     bsdfs: dict[tuple, mi.BSDF] = {}
     out = {f"part_{k}": _part_mesh(f"part_{k}", part, bsdfs, form) for k, part in enumerate(few.placed())}
     for p in np.flatnonzero(counts > _MANY):
+        placements = tuple(i for i in asset.instances if i.part == p)
+        if len(placements) * len(asset.parts[p].faces) <= _COPIED:
+            out[f"copies_{p}"] = _part_mesh(f"copies_{p}", _copied(asset, p, placements), bsdfs, form)
+            continue
         mesh = _part_mesh(f"group_{p}", asset.parts[p], bsdfs, form, in_group=True)
         group = mi.load_dict({"type": "shapegroup", "mesh": mesh})
         out[f"group_{p}"] = group
-        for k, inst in enumerate(i for i in asset.instances if i.part == p):
+        for k, inst in enumerate(placements):
             to_world = mi.ScalarTransform4f(inst.to_world)
             out[f"group_{p}_{k}"] = mi.load_dict({"type": "instance", "to_world": to_world, "group": group})
     return out
+
+
+def _copied(asset: Asset, p: int, placements: tuple[Instance, ...]) -> Part:
+    """All copies of a part as one."""
+    part = asset.parts[p]
+    part = replace(part, normals=part_normals(part))
+    copies = Asset((part,), tuple(replace(i, part=0) for i in placements)).placed()
+    n, start = len(copies), np.arange(len(copies))[:, None, None] * len(part.vertices)
+    return replace(
+        part,
+        vertices=np.concatenate([c.vertices for c in copies]),
+        faces=(np.stack([c.faces for c in copies]) + start).reshape(-1, 3),
+        normals=np.concatenate([c.normals for c in copies]),
+        uvs=None if part.uvs is None else np.tile(part.uvs, (n, 1)),
+        colors=None if part.colors is None else np.tile(part.colors, (n, 1)),
+    )
 
 
 def _part_mesh(name: str, part: Part, bsdfs: dict[tuple, mi.BSDF], form: str, in_group: bool = False) -> mi.Mesh:
