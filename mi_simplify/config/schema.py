@@ -244,7 +244,9 @@ class Export(Section):
 class Config(Section):
     """One job: from the asset to the exported model."""
 
-    asset: FilePath = Field(description="Model file, or `sample:NAME` for a procedural one such as `sample:relic` or `sample:shrub`.")
+    asset: FilePath = Field(
+        description="Model file, or `sample:NAME` for a procedural one such as `sample:relic` or `sample:shrub`."
+    )
     preset: Literal["fast", "balanced", "best"] | None = Field(
         None, description="Overrides that lie between the defaults and everything set here."
     )

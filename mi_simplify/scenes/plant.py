@@ -1,5 +1,5 @@
 """
-Two plants of more than a million triangles, a flowering shrub and a fern, put together from few parts by a tree of nodes.
+Two plants of over a million triangles, a flowering shrub and a fern, put together from few parts by a tree of nodes.
 
 Stems bear twigs (fronds), twigs bear leaves (pinnae) and flowers. Twigs of one kind are copies of each other, turned
 and scaled, as in the scene descriptions of films; all random numbers come from one seed.
