@@ -355,7 +355,3 @@ def _progress(quiet: bool) -> Any:
 
         return Bar(Console())
     return Lines(functools.partial(print, flush=True))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -250,7 +250,7 @@ def test_overwriting_removes_what_the_earlier_run_left(tmp_path):
 
 
 def run_process(*argv: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "mi_simplify.cli", *argv]
+    command = [sys.executable, "-m", "mi_simplify", *argv]
     return subprocess.run(
         command, cwd=cwd, env=os.environ | environment, capture_output=True, text=True, timeout=120, check=False
     )
@@ -545,7 +545,7 @@ def test_what_is_not_fitted_stays_to_the_bit(arguments, fitted, start, toy, tmp_
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 def test_ctrl_c_leaves_the_model_as_far_as_it_got(tmp_path):
     sphere = bumpy_sphere(tmp_path)
-    command = [sys.executable, "-m", "mi_simplify.cli", "simplify", str(sphere), "-n", "300", "-o", "out", *TOY]
+    command = [sys.executable, "-m", "mi_simplify", "simplify", str(sphere), "-n", "300", "-o", "out", *TOY]
     process = subprocess.Popen(
         [*command, "--set", "optimizer.steps=100000"], cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL,
         text=True,

@@ -431,7 +431,7 @@ def test_special_files_are_no_models(tmp_path):
 def test_the_command_line_ends_in_one_line_with_code_2(folders):
     inside, _ = folders
     path = write(inside / "a.obj", f"mtllib ../secret/paint.mtl\n{OBJ}")
-    command = [sys.executable, "-m", "mi_simplify.cli", "simplify", str(path), "-o", str(inside / "out")]
+    command = [sys.executable, "-m", "mi_simplify", "simplify", str(path), "-o", str(inside / "out")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("\n") == 1 and done.stderr.startswith("error: a.obj: material library")
