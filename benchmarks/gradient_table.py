@@ -117,7 +117,7 @@ def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", help="titles of cases, separated by commas")
-    parser.add_argument("--rounds", type=int, default=48, help="most rounds of a pair")
+    parser.add_argument("--rounds", type=int, default=240, help="most rounds of a pair")
     parser.add_argument("--dry", action="store_true", help="print, but leave docs/gradients.md alone")
     args = parser.parse_args()
     wanted = [name.strip() for name in args.only.split(",")] if args.only else None

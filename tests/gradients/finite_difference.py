@@ -141,7 +141,7 @@ def compare(
     spp: int = 512,
     gradient_spp: int = 64,
     target: float = 0.006,
-    rounds: tuple[int, int] = (8, 48),
+    rounds: tuple[int, int] = (8, 240),
     seed: int = 1,
 ) -> list[Pair]:
     """
@@ -158,7 +158,7 @@ def compare(
     gradient_spp : int
         Samples a pixel of one gradient; each round of ours takes two.
     rounds : (int, int)
-        Least and most.
+        Least and most; few pairs need many, a thin tube's sideways move about a hundred.
     """
     pairs = [Pair(scene, p) for p in parameters]
     for k in range(rounds[1]):
