@@ -175,7 +175,7 @@ def run_row(views: int, resolution: int, n_triangles: int, n_texels: int, option
 
     batch = fit.pool.batch(views)[0]
     with dr.suspend_grad():
-        surface = fit.latent.evaluate(dr.detach(fit.vertices.positions()))
+        surface = fit.latent.evaluate(fit.shape.positions(batch))
         dr.eval(surface.packets)
 
         def bare(seed: int):
@@ -394,7 +394,7 @@ def main() -> None:
     parser.add_argument("--row", type=int, nargs="+", metavar="N", help="views, resolution, triangles, texture side")
     options = parser.parse_args()
     if options.row:
-        row = run_row(*(options.row + [3000, 1024][len(options.row) - 2 :])[:4], options)
+        row = run_row(*(options.row + [3000, 1024][len(options.row) - 2 :])[:4], options=options)
         print(json.dumps(row) if options.json else "\n".join([describe(row), *table([row]), "", *stage_table([row])]))
         return
     rows = measure(PIXELS + TRIANGLES + TEXELS, options)

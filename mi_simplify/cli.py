@@ -87,10 +87,12 @@ _JOB = _options(
     click.option("--fixed-shape", is_flag=True, help="Fit textures alone; no vertex moves."),
     click.option("--normal-only", is_flag=True, help="Fit the normal map alone."),
     click.option(
-        "--skip", metavar="NAMES", multiple=True,
+        "--skip",
+        metavar="NAMES",
+        multiple=True,
         help="Leave these as the first guess has them, such as kd,orm: shape, kd (base_color, opacity), "
         "orm (gamma, roughness, metallic), normal.",
-    ),  # fmt: skip
+    ),
     _MEMORY,
     _VARIANT,
 )

@@ -21,7 +21,10 @@ from test_fit import textured_sphere
 from mi_simplify import cli
 from mi_simplify.checkpoint import Checkpoint, fingerprint, read_archive, write_archive
 from mi_simplify.config import load_config
+from mi_simplify.errors import OutputError
 from mi_simplify.fitting import Fit, Run, fit
+from mi_simplify.fitting.texels import TexelAdam
+from mi_simplify.fitting.vertices import VertexSteps
 from mi_simplify.job import run_job
 from mi_simplify.progress import Progress
 from mi_simplify.scenes.reference import make_reference
@@ -76,7 +79,7 @@ def test_a_restored_run_takes_the_same_steps_to_the_bit(overrides, one_thread, t
     parts = problem(*overrides, "optimizer.steps=24", "reference.pool=12")
     whole = advanced(Run(*parts), 24)
     write_archive(tmp_path / "state.npz", advanced(Run(*parts), 15).state())
-    resumed = advanced(Run(*parts, read_archive(tmp_path / "state.npz")), 24)
+    resumed = advanced(Run(*parts, state=read_archive(tmp_path / "state.npz")), 24)
     for name, values in whole.fit.parameters().items():
         np.testing.assert_array_equal(values, resumed.fit.parameters()[name], err_msg=name)
     timeless = lambda run: [{**record, "seconds": 0} for record in run.records]  # noqa: E731
@@ -217,7 +220,7 @@ def test_nan_goes_back_to_the_best_state_and_on_with_care(caplog):
 @pytest.mark.parametrize(("part", "array"), [("vertices", "u"), ("vertices", "v"), ("textures", "m")])
 def test_nan_in_a_gradient_is_found_though_the_loss_is_finite(part, array, caplog):
     run = advanced(Run(*problem("optimizer.resolution=32", "optimizer.steps=60")), 10)
-    optimizer = {"vertices": run.fit.shape.vertices, "textures": run.fit.texels}[part]
+    optimizer: VertexSteps | TexelAdam = {"vertices": run.fit.shape.vertices, "textures": run.fit.texels}[part]
     state = optimizer.state()
     state[array].flat[-1] = np.nan
     optimizer.restore(state)
@@ -335,13 +338,15 @@ def stopped(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     command = ["simplify", "sphere.ply", "-q", "-o", "out", *words(SMALL)]
 
-    def stop(run) -> None:
+    step = Run.step
+
+    def stopped_at_11(run: Run) -> dict | None:
         if run.done == 11:
             signal.raise_signal(signal.SIGINT)
+        return step(run)
 
-    step = Run.step
     with monkeypatch.context() as patch:
-        patch.setattr(Run, "step", lambda run: (stop(run), step(run))[1])
+        patch.setattr(Run, "step", stopped_at_11)
         assert cli.main(command) == 130
     err = capsys.readouterr().err.strip()
     assert err == "interrupted: out holds the best model of 12 of 30 steps; the same command with --resume goes on"
@@ -430,7 +435,7 @@ def test_a_model_that_cannot_be_written_is_put_elsewhere(tmp_path, capsys):
             out.write_text("in the way")
 
     config = load_config(overrides=[f"asset={tmp_path / 'sphere.ply'}", *SMALL])
-    with pytest.raises(Exception, match="the model is in") as error:
+    with pytest.raises(OutputError, match="the model is in") as error:
         run_job(config, out, block)
     spare = Path(str(error.value).split("the model is in ")[1].split(" instead")[0])
     assert error.value.exit_code == 2 and (spare / "model.glb").is_file()

@@ -394,7 +394,12 @@ def test_options_reach_the_job(monkeypatch, tmp_path, capsys):
 )
 def test_options_of_the_start_and_of_what_is_fitted(arguments, initial, optimize, monkeypatch, tmp_path):
     jobs = []
-    monkeypatch.setattr(job, "run_job", lambda config, *a, **k: jobs.append(config) or SimpleNamespace(summary=str))
+
+    def started(config, *args, **options):
+        jobs.append(config)
+        return SimpleNamespace(summary=str)
+
+    monkeypatch.setattr(job, "run_job", started)
     monkeypatch.chdir(tmp_path)
     assert cli.main(["simplify", "a.obj", *arguments]) == 0
     found = jobs[0].initial.model_dump()

@@ -68,7 +68,7 @@ def test_a_closed_surface_keeps_its_budget_and_topology(n):
 
 
 def test_a_handle_survives():
-    q, g = decimate(*torus(), 300)
+    q, g = decimate(*torus(), n_triangles=300)
     edges, _, counts = edge_pairs(g)
     assert (counts == 2).all() and len(q) - len(edges) + len(g) == 0
 
@@ -125,7 +125,8 @@ def test_the_tip_of_a_blade_is_not_eaten_up():
     p = np.stack([t, 0.05 * (1 - t) * s, 0.05 * np.sin(4 * t)], 1)
     k = np.arange(200 * 9).reshape(200, 9)
     a, b, c, d = (x.ravel() for x in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
-    q, g = decimate(*weld_faces(p, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])), 12)
+    welded = weld_faces(p, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
+    q, g = decimate(*welded, n_triangles=12)
     assert len(g) <= 12 and q[:, 0].max() > 0.98
 
 
@@ -139,7 +140,7 @@ def test_triangles_go_where_the_surface_bends():
 
 
 def test_the_same_input_gives_the_same_mesh():
-    first, second = decimate(*bumpy(3000), 200), decimate(*bumpy(3000), 200)
+    first, second = decimate(*bumpy(3000), n_triangles=200), decimate(*bumpy(3000), n_triangles=200)
     assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
 
 
@@ -179,9 +180,9 @@ def test_the_relic_with_all_its_pieces():
 
 def test_too_small_a_budget_is_refused():
     with pytest.raises(MeshError, match="at least 4"):
-        decimate(*bumpy(100), 3)
+        decimate(*bumpy(100), n_triangles=3)
     with pytest.raises(MeshError, match="cannot be reduced below"):
-        decimate(*torus(12, 8), 4)
+        decimate(*torus(12, 8), n_triangles=4)
 
 
 def test_real_files(shared_assets):

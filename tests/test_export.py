@@ -212,6 +212,7 @@ def test_glb_alpha_modes(model, mode, cutoff):
 
 def test_glb_read_by_trimesh(model, tmp_path):
     scene = trimesh.load(write_glb(model, tmp_path / "model.glb"), force="scene", process=False)
+    assert isinstance(scene, trimesh.Scene)
     (geometry,) = scene.geometry.values()
     mesh = split_mirrored(model.mesh)
     np.testing.assert_array_equal(geometry.faces, mesh.faces)
@@ -254,7 +255,9 @@ def test_glb_satisfies_the_khronos_validator(model, node_run):
 
 def test_obj_read_by_trimesh(model, tmp_path):
     write_obj(model, tmp_path / "model.obj")
-    (loaded,) = trimesh.load(tmp_path / "model.obj", force="scene", process=False).geometry.values()
+    scene = trimesh.load(tmp_path / "model.obj", force="scene", process=False)
+    assert isinstance(scene, trimesh.Scene)
+    (loaded,) = scene.geometry.values()
     corners = model.mesh.vertices[model.mesh.faces]
     np.testing.assert_allclose(loaded.vertices[loaded.faces], corners, rtol=1e-7)
     uv = loaded.visual.uv[loaded.faces] * [1, -1] + [0, 1]

@@ -605,8 +605,9 @@ def test_point_light_under_path(form):
     p = np.stack(np.broadcast_arrays(s[None] * half, -s[:, None] * half, 0.0), -1)
     wi, to_light = unit([0, 0, 4] - p), position - p
     wo = unit(to_light)
-    value = REFERENCE[form](kd, *(material[k] for k in ("gamma", "roughness", "metallic")), np.array([0.0, 0, 1]),
-                            wi[..., None, :], wo[..., None, :])  # fmt: skip
+    gamma, roughness, metallic = (material[k] for k in ("gamma", "roughness", "metallic"))
+    up = np.array([0.0, 0, 1])
+    value = REFERENCE[form](kd, gamma, roughness, metallic, up, wi[..., None, :], wo[..., None, :])
     expected = value * 20 * wo[..., 2:] / np.sum(to_light**2, -1, keepdims=True)
     expected = expected.reshape(9, 8, 9, 8, 3).mean((1, 3))
     assert np.allclose(got, expected, rtol=0.02)

@@ -1,5 +1,7 @@
 """Image metrics against known values and against the judge's own formulas."""
 
+from typing import Any
+
 import flip_evaluator
 import numpy as np
 import pytest
@@ -48,7 +50,7 @@ def test_equals_the_judge(images):
     pairs = zip(at, bt, strict=True)
     fl = [flip_evaluator.evaluate(np.ascontiguousarray(x), np.ascontiguousarray(y), "LDR")[1] for x, y in pairs]
     sil = np.abs((a[..., 3] > 0.5) != (b[..., 3] > 0.5)).sum() / max(1, (a[..., 3] > 0.5).sum())
-    ours = compare(a, b)
+    ours: dict[str, Any] = compare(a, b)
     assert ours["psnr"] == pytest.approx(float(np.mean(-10 * np.log10(np.maximum(mse, 1e-10)))), abs=1e-4)
     assert ours["flip"] == pytest.approx(float(np.mean(fl)), abs=1e-5)
     assert ours["silhouette_error"] == pytest.approx(float(sil), abs=1e-12)

@@ -371,7 +371,8 @@ def test_a_framed_reference_undoes_any_frame(scene):
         image = there.render(type(views).from_arrays(arrays | moved, views.width, views.height))
         assert psnr(image, expected) > 50
     twice = asset.transformed(to_frame).transformed(np.diag([2.0, 2.0, 2.0, 1.0]))
-    assert twice.scale == pytest.approx(100) and np.allclose(twice.center, [100, 0, 0])
+    assert isinstance(twice, SceneAsset) and twice.scale == pytest.approx(100)
+    assert np.allclose(twice.center, [100, 0, 0])
     with pytest.raises(ValueError, match="scaled uniformly and translated"):
         asset.transformed(np.diag([1.0, 2.0, 1.0, 1.0]))
 

@@ -23,9 +23,9 @@ def _two_threads():
 
 def model(n_texels=64) -> Model:
     rng = np.random.default_rng(0)
-    planes = [rng.uniform(0.3, 0.7, (n_texels, n_texels, c)).astype(np.float32) for c in (4, 3)]
+    base_color, specular = (rng.uniform(0.3, 0.7, (n_texels, n_texels, c)).astype(np.float32) for c in (4, 3))
     normal = np.broadcast_to(np.float32([0, 0, 1]), (n_texels, n_texels, 3))
-    return Model(charted_sphere(8, noise=0.05, seed=1), *planes, normal)
+    return Model(charted_sphere(8, noise=0.05, seed=1), base_color, specular, normal)
 
 
 def noise(views):

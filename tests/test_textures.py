@@ -48,9 +48,9 @@ def lookup(textures, u, v):
 @pytest.mark.parametrize(("height", "width"), [(8, 16), (5, 41), (1, 1), (1, 7)])
 def test_lookup_is_bilinear_and_repeats(height, width, extended):
     three = images(height, width)
-    textures, rng = Textures(*three, extended), np.random.default_rng(1)
+    textures, rng = Textures(*three, extended=extended), np.random.default_rng(1)
     u, v = rng.uniform(-2.5, 3.5, (2, 3000)).astype(np.float32).astype(np.float64)
-    expected, _, _ = ref_lookup(planes(*three, extended), u, v)
+    expected, _, _ = ref_lookup(planes(*three, extended=extended), u, v)
     got = lookup(textures, u, v)
     assert got.shape == (3000, 12 if extended else 8)
     slope = 3.5 * max(height, width) * 1e-6
@@ -60,7 +60,7 @@ def test_lookup_is_bilinear_and_repeats(height, width, extended):
 @pytest.mark.parametrize("n", [2, 3, 7, 41, 47, 100, 512])
 def test_lookup_at_texel_centres_and_across_the_border(n):
     three = images(n, n)
-    textures, image = Textures(*three), planes(*three, False)
+    textures, image = Textures(*three), planes(*three, extended=False)
     centres = (np.arange(n) + 0.5) / n
     assert np.allclose(lookup(textures, centres, centres), image[np.arange(n), np.arange(n)], atol=1e-4)
     # Just past the last texel, where a float's rounding must not wrap to the wrong side, as often as one likes.
@@ -74,7 +74,7 @@ def test_derivative_by_the_uv():
     three = images(6, 10)
     textures, rng = Textures(*three), np.random.default_rng(2)
     u, v = (((rng.integers(-3, 20, 500) + rng.uniform(0.1, 0.9, 500) + 0.5) / n) for n in (10, 6))
-    _, du, dv = ref_lookup(planes(*three, False), u, v)
+    _, du, dv = ref_lookup(planes(*three, extended=False), u, v)
     weight = rng.normal(size=(500, 8))
     for column, (du_, dv_) in enumerate(zip((du * weight).T, (dv * weight).T, strict=True)):
         a, b = floats(u), floats(v)
@@ -87,7 +87,7 @@ def test_derivative_by_the_uv():
 @pytest.mark.parametrize(("height", "width"), [(8, 8), (3, 5), (16, 9), (33, 40)])
 def test_gradient_is_the_transposed_lookup(height, width, extended):
     """⟨lookup(x), g⟩ = ⟨x, lookupᵀ(g)⟩, in the touched blocks and nowhere else."""
-    textures, rng = Textures(*images(height, width), extended), np.random.default_rng(3)
+    textures, rng = Textures(*images(height, width), extended=extended), np.random.default_rng(3)
     n = 40
     u, v = rng.uniform(-0.2, 0.7, (2, n))  # leaves a part of the texture alone
     footprint = textures.footprint(floats(u), floats(v))
@@ -165,7 +165,7 @@ def test_textures_own_their_memory():
 
 def chain(textures):
     """All levels of unpacked images as the packed planes of :func:`planes`."""
-    return [planes(*textures.images(k).values(), textures.extended) for k in range(textures.n_levels)]
+    return [planes(**textures.images(k), extended=textures.extended) for k in range(textures.n_levels)]
 
 
 @pytest.mark.parametrize(("height", "width"), [(16, 16), (8, 32), (1, 4)])
@@ -174,7 +174,7 @@ def test_derived_levels_are_means_of_four(height, width):
     textures = Textures(*three, extended=True, mips="derived")
     data = textures.data.numpy().reshape(-1, 12)
     levels = [data[textures.places(k).numpy()].reshape(*textures.size(k), 12) for k in range(textures.n_levels)]
-    assert levels[-1].shape == (1, 1, 12) and np.allclose(levels[0], planes(*three, True), atol=1e-6)
+    assert levels[-1].shape == (1, 1, 12) and np.allclose(levels[0], planes(*three, extended=True), atol=1e-6)
     for fine, coarse in zip(levels, levels[1:], strict=False):
         h, w = coarse.shape[:2]
         assert np.allclose(coarse, fine.reshape(h, len(fine) // h, w, fine.shape[1] // w, 12).mean((1, 3)), atol=1e-6)

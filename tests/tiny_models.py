@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -13,7 +14,7 @@ from mi_simplify.scenes.asset import Part
 CORNERS = {(0, 1): (255, 0, 0), (1, 1): (0, 255, 0), (0, 0): (0, 0, 255), (1, 0): (255, 255, 255)}
 
 #: Corners of the quad, counter-clockwise seen from +Z, with UVs whose origin is the *bottom* left (OBJ, PLY, USD).
-QUAD = np.float64([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+QUAD = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 QUAD_ST = QUAD[:, :2]
 QUAD_FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
@@ -63,7 +64,7 @@ class Glb:
 
     def __init__(self):
         self.binary = b""
-        self.json = {
+        self.json: dict[str, Any] = {
             "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "meshes": [],
             "materials": [], "textures": [], "images": [], "accessors": [], "bufferViews": [],
         }  # fmt: skip

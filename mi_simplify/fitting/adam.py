@@ -25,6 +25,10 @@ class Adam:
 
     def __init__(self, value: np.ndarray, rate: float, beta1: float = 0.9, beta2: float = 0.99):
         self._rate, self._beta1, self._beta2 = rate, beta1, beta2
+        self._steps = 0
+        self.value: mi.Float
+        self._m: mi.Float
+        self._v: mi.Float
         self.restart(value)
 
     def step(self, grad: mi.Float, factor: float) -> None:

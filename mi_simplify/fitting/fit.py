@@ -182,9 +182,9 @@ class Fit:
         if self.pool.residual is not None:
             image = image + np.nan_to_num(self.pool.residual.render(self.held_out, 1))
         image = np.where(self._unknown, 0, image)
-        pixels = [upload(mi.Vector4f, x.reshape(-1, 4)) for x in (image, self._held_out_images)]
-        loss, _ = frame_loss(*pixels, self._background(dr.width(pixels[0]), seed), self.loss, self._coverage)
-        a, b = (srgb(dr.clip(x.xyz, 0, 1)).numpy().T.reshape(len(image), -1) for x in pixels)
+        ours, theirs = (upload(mi.Vector4f, x.reshape(-1, 4)) for x in (image, self._held_out_images))
+        loss, _ = frame_loss(ours, theirs, self._background(dr.width(ours), seed), self.loss, self._coverage)
+        a, b = (srgb(dr.clip(x.xyz, 0, 1)).numpy().T.reshape(len(image), -1) for x in (ours, theirs))
         mse = ((a - b) ** 2).mean(1)
         return float(loss[0]), float(np.mean(-10 * np.log10(np.maximum(mse, 1e-10))))
 

@@ -47,7 +47,8 @@ class Run:
     def __init__(self, model: Model, reference: Reference, config: Config, state: dict | None = None):
         self.fit, self.first_guess, self.n_steps = Fit(model, reference, config), model, config.optimizer.steps
         self.every = config.evaluation.every
-        self.done, self.records, self._earlier, self._start = 0, [], 0.0, time.perf_counter()
+        self.done, self._earlier, self._start = 0, 0.0, time.perf_counter()
+        self.records: list[dict] = []
         self.best, self.best_step, self.least, self.setbacks = self.fit.parameters(), 0, math.inf, 0
         if state is None:
             self.judge()

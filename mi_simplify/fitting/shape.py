@@ -52,13 +52,12 @@ class ShapeSteps:
         Diffusion of the vertices' steps, see :class:`.vertices.VertexSteps`.
     """
 
-    def __init__(
-        self, operation: MeshOperation, optimize: Collection[str], rates: Mapping[str, float], lambda_: float
-    ):
+    def __init__(self, operation: MeshOperation, optimize: Collection[str], rates: Mapping[str, float], lambda_: float):
         base = operation.base
         self.operation = operation
         self.vertices = VertexSteps(base.positions, base.position_faces, rates["vertices"], lambda_)
         self._others = {name: Adam(value, rates[name]) for name, value in operation.parameters.items()}
+        self._parts: dict[str, VertexSteps | Adam] = {"vertices": self.vertices, **self._others}
         self._moving = [name for name in ("vertices", *self._others) if name in optimize]
 
     @property
@@ -132,18 +131,17 @@ class ShapeSteps:
         """
         What is no longer finite; None where all is well.
         """
-        parts = {"vertices": self.vertices, **self._others}
-        return next((name for name, part in parts.items() if not part.is_finite()), None)
+        return next((name for name, part in self._parts.items() if not part.is_finite()), None)
 
     def state(self) -> dict:
         """
         All that later steps depend on, as copies.
         """
-        return {name: part.state() for name, part in {"vertices": self.vertices, **self._others}.items()}
+        return {name: part.state() for name, part in self._parts.items()}
 
     def restore(self, state: dict) -> None:
         """
         Inverse of :meth:`state`.
         """
-        for name, part in {"vertices": self.vertices, **self._others}.items():
+        for name, part in self._parts.items():
             part.restore(state[name])

@@ -112,8 +112,8 @@ def _finish(sums: np.ndarray, missed: float) -> Baked:
     rgb = np.where(opacity > 1e-3, mean[..., :3] / np.maximum(opacity, 1e-3), mean[..., 3:6])
     normal = mean[..., 10:13] / np.maximum(np.linalg.norm(mean[..., 10:13], axis=2, keepdims=True), 1e-6)
     images = [np.concatenate([rgb, opacity], 2), mean[..., 7:10], normal, mean[..., 13:14]]
-    images = dilate([x.astype(np.float32) for x in images], covered)
-    return Baked(*images, covered=covered, missed=float(missed))
+    base_color, specular, normal, height = dilate([x.astype(np.float32) for x in images], covered)
+    return Baked(base_color, specular, normal, height, covered, float(missed))
 
 
 def reaches(mesh: Mesh, closest: ClosestPoints, diagonal: float) -> np.ndarray:

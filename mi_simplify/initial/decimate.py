@@ -197,11 +197,11 @@ class _Round:
                 left, checked = left[self._allowed(left, target[left], turn, thin)], True
             if not len(left):
                 break
-        chosen = np.concatenate(chosen)
-        chosen = chosen[np.argsort(cost[chosen], kind="stable")]
-        gone = np.cumsum(self.counts[chosen])
-        chosen = chosen[: int(np.searchsorted(gone, n_remove)) + 1]
-        return chosen, target[chosen], float(cost[chosen[-1]]) if len(chosen) else 0.0
+        found = np.concatenate(chosen)
+        found = found[np.argsort(cost[found], kind="stable")]
+        gone = np.cumsum(self.counts[found])
+        found = found[: int(np.searchsorted(gone, n_remove)) + 1]
+        return found, target[found], float(cost[found[-1]]) if len(found) else 0.0
 
     def _allowed(self, edges: np.ndarray, target: np.ndarray, turn: float, thin: float) -> np.ndarray:
         """Which collapses keep the topology, turn no face over and make no needles, shape (S,)."""

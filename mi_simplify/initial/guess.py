@@ -150,7 +150,7 @@ def quadrics_only(asset: Asset, triangles: int, *, atlas_size: int = 1024) -> tu
     mesh, more = unwrap(positions, faces, atlas_size=atlas_size)
     baked = bake(asset, mesh, size=atlas_size, samples=1, reach=0.0)
     mode, cutoff = alpha_of(asset, baked.base_color)
-    flat = np.broadcast_to(np.float32([0, 0, 1]), baked.normal.shape).copy()
+    flat = np.broadcast_to(np.array([0, 0, 1], np.float32), baked.normal.shape).copy()
     model = Model(mesh, baked.base_color, baked.specular, flat, mode, cutoff, name=asset.name)
     return model, notes + more
 
@@ -225,7 +225,7 @@ def mean_material(asset: Asset) -> tuple[np.ndarray, np.ndarray]:
         base += area * part.material.base_color.mean((0, 1), dtype=np.float64) * tint
         specular += area * part.material.specular.mean((0, 1), dtype=np.float64)
         total += area
-    return np.float32(base / total), np.float32(specular / total)
+    return (base / total).astype(np.float32), (specular / total).astype(np.float32)
 
 
 def alpha_of(asset: Asset, base_color: np.ndarray) -> tuple[str, float]:

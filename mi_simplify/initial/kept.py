@@ -87,7 +87,7 @@ def _own_uvs(soup: Soup) -> Mesh:
     used, faces = np.unique(index.reshape(-1)[soup.faces], return_inverse=True)
     rows = rows[used]
     kept, position_index = np.unique(rows[:, 0].astype(np.int64), return_inverse=True)
-    return Mesh(soup.positions[kept], position_index, np.float32(rows[:, 1:]), faces.reshape(-1, 3))
+    return Mesh(soup.positions[kept], position_index, rows[:, 1:].astype(np.float32), faces.reshape(-1, 3))
 
 
 def _with_creases(mesh: Mesh, angle: float) -> Mesh:

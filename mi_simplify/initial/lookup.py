@@ -188,7 +188,7 @@ class Detail:
         self.material = upload(mi.UInt32, soup.material_index)
         self.base_color = Images([m.base_color for m in soup.materials])
         self.specular = Images([m.specular for m in soup.materials])
-        flat = np.float32([[[0, 0, 1]]])
+        flat = np.array([[[0, 0, 1]]], np.float32)
         self.normal = Images([flat if m.normal is None else m.normal for m in soup.materials])
         self.opaque = mi.Bool([m.alpha_mode == "OPAQUE" for m in soup.materials])
         self.cutoff = mi.Float([m.alpha_cutoff if m.alpha_mode == "MASK" else -1.0 for m in soup.materials])

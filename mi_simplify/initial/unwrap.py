@@ -78,7 +78,11 @@ def unwrap(
         index, uvs, out_faces = triangle_charts(positions, corners, atlas_size, padding)
     uvs[:, 1] = atlas_size - uvs[:, 1]  # xatlas winds its charts for v up
     mesh = Mesh(
-        np.asarray(positions, np.float64), group_position[index], np.float32(uvs / atlas_size), out_faces, index
+        np.asarray(positions, np.float64),
+        group_position[index],
+        (uvs / atlas_size).astype(np.float32),
+        out_faces,
+        index,
     )
     return mesh, notes + check(mesh, atlas_size)
 

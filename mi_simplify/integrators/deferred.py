@@ -143,7 +143,7 @@ class DeferredRenderer:
         """
         grad, texels = dr.ravel(grad_image), None
         views_move, by_views = dr.grad_enabled(frame.views), mi.Float(0)
-        if frame.hits is not None:
+        if frame.hits is not None and frame.touched is not None:
             values, by_surface, share = _interior(
                 _detached(surface), textures, frame.rays, frame.hits, frame.touched, self.form, grad, views_move
             )

@@ -170,7 +170,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         if self.shadows and not self._warned and (positions is not None or lights_move(scene)):
             log.warning("direct_edge: derivatives of shadow borders are not computed; shadows are constants")
             self._warned = True
-        if positions is None:
+        if positions is None or self._edges.edges is None:
             return None
         cameras = sensor_cameras(sensor)
         n = max(1024, int(cameras.n_pixels * spp * self.edge_fraction))

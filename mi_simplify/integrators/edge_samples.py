@@ -180,9 +180,7 @@ class EdgeSet:
         local = [mi.Vector3f(*[dr.dot(q - mi.Point3f(o.xyz), axis) for axis in axes]) for q in p]
         tan_y = o.w * (cameras.height / cameras.width)
         # Distances to the planes of the view frustum, linear along the edge (Liang and Barsky 1984).
-        margins = [
-            [q.z - _NEAR, q.z * o.w - q.x, q.z * o.w + q.x, q.z * tan_y - q.y, q.z * tan_y + q.y] for q in local
-        ]
+        margins = [[q.z - _NEAR, q.z * o.w - q.x, q.z * o.w + q.x, q.z * tan_y - q.y, q.z * tan_y + q.y] for q in local]
         s0, s1 = mi.Float(0), mi.Float(1)
         for m0, m1 in zip(*margins, strict=True):
             cut = m0 / dr.select(m0 != m1, m0 - m1, 1)

@@ -114,6 +114,7 @@ class SceneEdges:
         number = dr.reinterpret_array(mi.UInt32, si.shape)
         known = number < dr.width(self._first_face)
         face = dr.gather(mi.UInt32, self._first_face, number, known) + dr.select(known, si.prim_index, _NO_FACE)
+        assert self.edges is not None  # there is a sample, so there are edges
         return is_near | self.edges.touches(face, e.end0, e.end1)
 
     def _refuse_moving_groups(self, scene: mi.Scene) -> None:

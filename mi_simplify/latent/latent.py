@@ -6,11 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from .model import Model
+from .model import Mesh, Model
 from .operation import operation_of
 from .surface import MeshTopology, Surface
 from .tangents import split_mirrored
@@ -64,8 +65,9 @@ class Latent:
         model = self._with(self.topology.mesh, positions)
         return Model(model.mesh, model.base_color, model.specular, model.normal, model.alpha_mode, model.alpha_cutoff)
 
-    def _with(self, mesh, positions: np.ndarray) -> Model:
+    def _with(self, mesh: Mesh, positions: np.ndarray) -> Model:
         mesh = replace(mesh, positions=np.asarray(positions, np.float64).reshape(-1, 3))
         own = range(1, self.textures.n_levels) if self.textures.mips == "custom" else ()
         mips = tuple(self.textures.images(level) for level in own)
-        return replace(self._model, mesh=mesh, mips=mips, **self.textures.images())
+        images: dict[str, Any] = self.textures.images()
+        return replace(self._model, mesh=mesh, mips=mips, **images)

@@ -74,5 +74,5 @@ def filtered_levels(base_color: np.ndarray, specular: np.ndarray, normal: np.nda
             specular=np.concatenate([gamma_metal[..., :1], roughness, gamma_metal[..., 1:]], axis=2),
             normal=normal / r,
         )
-        levels.append({name: np.float32(image) for name, image in images.items()})
+        levels.append({name: image.astype(np.float32) for name, image in images.items()})
     return levels

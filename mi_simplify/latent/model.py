@@ -99,9 +99,7 @@ class Model:
     @property
     def material(self) -> Material:
         """The textures as a material of the scenes stage."""
-        return Material(
-            self.name, self.base_color, self.specular, self.normal, self.alpha_mode, self.alpha_cutoff
-        )
+        return Material(self.name, self.base_color, self.specular, self.normal, self.alpha_mode, self.alpha_cutoff)
 
     def transformed(self, scale: float, offset: np.ndarray) -> Model:
         """

@@ -210,8 +210,8 @@ class Textures:
             levels += list(coarser) or filtered_levels(*levels[0].values())
         packed = np.zeros((self.n_stored, self.n_channels), np.float32)
         for level, images in enumerate(levels):
-            where = first[level] + self.place(*np.indices(sizes[level]), sizes[level][1])
-            packed[where] = self._packed(**images)
+            row, column = np.indices(sizes[level])
+            packed[first[level] + self.place(row, column, sizes[level][1])] = self._packed(**images)
         self.data = upload(mi.Float, packed.ravel())
         self._room = 0
         self.refresh()
@@ -369,8 +369,8 @@ class Textures:
         ix, iy = self._wrap(mi.Int32(x0), width), self._wrap(mi.Int32(y0), height)
         jx = dr.select(ix + 1 < width, ix + 1, 0)
         jy = dr.select(iy + 1 < height, iy + 1, 0)
-        width = None if level is None else mi.UInt32(width)
-        index = [self.place(mi.UInt32(r), mi.UInt32(c), width) + first for r in (iy, jy) for c in (ix, jx)]
+        of = None if level is None else mi.UInt32(width)
+        index = [self.place(mi.UInt32(r), mi.UInt32(c), of) + first for r in (iy, jy) for c in (ix, jx)]
         return Footprint(index, x - x0, y - y0)
 
     @staticmethod

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -252,7 +252,9 @@ def save_comparison(comparison: Comparison, out: str | Path) -> dict[str, Path]:
     text = json.dumps(comparison.figures, indent=2, allow_nan=False) + "\n"
     images = {"reference": comparison.reference}
     images |= {f"candidate_{k}": x for k, x in enumerate(comparison.candidates.values())}
-    packed = {name: np.concatenate([shown(x), _levels(x[..., 3:])], axis=3) for name, x in images.items()}
+    packed: dict[str, Any] = {
+        name: np.concatenate([shown(x), _levels(x[..., 3:])], axis=3) for name, x in images.items()
+    }
     stream = io.BytesIO()
     np.savez_compressed(stream, **packed)
     return {

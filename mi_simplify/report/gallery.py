@@ -154,8 +154,6 @@ def _choice(names: list[str]) -> str:
     if len(names) < 2:
         return ""
     options = "".join(
-        f'<option{" selected" if name == names[-1] else ""}>{html.escape(name)}</option>' for name in names
+        f"<option{' selected' if name == names[-1] else ''}>{html.escape(name)}</option>" for name in names
     )
     return f'<div class="bar"><label>errors of <select id="errors-of">{options}</select></label></div>'
-
-

@@ -100,7 +100,7 @@ def silhouette_error(reference_coverage: np.ndarray, candidate_coverage: np.ndar
     """
     a, b = _pair(reference_coverage, candidate_coverage)
     a, b = a > COVERED, b > COVERED
-    return float(np.count_nonzero(a != b) / max(1, np.count_nonzero(a)))
+    return float(np.count_nonzero(a != b) / max(1, int(np.count_nonzero(a))))
 
 
 def compare(reference: np.ndarray, candidate: np.ndarray) -> dict[str, object]:

@@ -20,6 +20,8 @@ RED, BLUE, GREY = np.array([[0.86, 0.15, 0.12], [0.13, 0.35, 0.90], [0.5, 0.5, 0
 DIFFERENCE_GAIN = 4.0
 """A difference of a quarter of the sRGB range is shown in full colour."""
 
+Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
+
 BACKGROUND, INK, FAINT = (22, 22, 25), (236, 236, 240), (150, 150, 160)
 
 
@@ -45,7 +47,7 @@ def signed_difference(reference: np.ndarray, candidate: np.ndarray, *, gain: flo
     -------
     ndarray, shape (B, H, W, 3), uint8
     """
-    luma = (tonemap(candidate) - tonemap(reference)) @ np.float32([0.2126, 0.7152, 0.0722])
+    luma = (tonemap(candidate) - tonemap(reference)) @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     d = np.clip(gain * luma, -1.0, 1.0)[..., None]
     return to_8bit(GREY + np.maximum(d, 0) * (RED - GREY) + np.maximum(-d, 0) * (BLUE - GREY))
 
@@ -63,7 +65,7 @@ def coverage_errors(reference: np.ndarray, candidate: np.ndarray) -> np.ndarray:
     ndarray, shape (B, H, W, 3), uint8
     """
     a, b = reference[..., 3] > COVERED, candidate[..., 3] > COVERED
-    colors = np.stack([np.float32([0.09, 0.09, 0.1]), BLUE, RED, np.float32([0.36, 0.36, 0.38])])
+    colors = np.stack([np.array([0.09, 0.09, 0.1], np.float32), BLUE, RED, np.array([0.36, 0.36, 0.38], np.float32)])
     return to_8bit(colors)[a + 2 * b.astype(np.int64)]
 
 
@@ -141,13 +143,17 @@ def contact_sheet(
 
 def _legend(name: str) -> list[tuple[tuple[int, int, int] | None, str]]:
     """Coloured words under the sheet: a colour, or None for plain text."""
-    red, blue = (tuple(int(c) for c in to_8bit(color)) for color in (RED, BLUE))
     return [
         (None, f"{name}:"),
-        (red, "too bright, or covers too much"),
-        (blue, "too dim, or covers too little"),
+        (_ink(RED), "too bright, or covers too much"),
+        (_ink(BLUE), "too dim, or covers too little"),
         (None, f"difference x {DIFFERENCE_GAIN:g}"),
     ]
+
+
+def _ink(color: np.ndarray) -> tuple[int, int, int]:
+    r, g, b = to_8bit(color).tolist()
+    return r, g, b
 
 
 def _grid(columns: list[Column], legend: list[tuple[tuple[int, int, int] | None, str]]) -> Image.Image:
@@ -186,7 +192,7 @@ def _grid(columns: list[Column], legend: list[tuple[tuple[int, int, int] | None,
     return sheet
 
 
-def _fitting(draw: ImageDraw.ImageDraw, text: str, font: ImageFont.FreeTypeFont, width: int) -> str:
+def _fitting(draw: ImageDraw.ImageDraw, text: str, font: Font, width: int) -> str:
     """The text, cut where it is wider than a column."""
     if draw.textlength(text, font=font) <= width:
         return text

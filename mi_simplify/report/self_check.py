@@ -69,6 +69,7 @@ def _stored_tangents(written: Asset) -> np.ndarray | None:
 def _as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, Surface, Textures, mi.Float]:
     """The part on the device, with normals and tangents as in its file; MikkTSpace's tangents where it has none."""
     vertex = np.arange(len(part.vertices))
+    assert part.uvs is not None  # every exporter writes them
     topology = MeshTopology(Mesh(part.vertices, vertex, part.uvs, part.faces))
     mesh, normals = topology.mesh, part_normals(part)
     if tangents is None:
@@ -78,7 +79,7 @@ def _as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, 
     u, v = mesh.uvs[:, :1], mesh.uvs[:, 1:]
     packets = np.concatenate([mesh.vertices, u, normals[mesh.position_index], v, t, w[:, None]], axis=1)
     material = part.material
-    normal = np.float32([[[0, 0, 1]]]) if material.normal is None else material.normal
+    normal = np.array([[[0, 0, 1]]], np.float32) if material.normal is None else material.normal
     images = (material.base_color, material.specular, normal)
     size = tuple(np.max([image.shape[:2] for image in images], axis=0))
     color, specular, normal = (np.broadcast_to(image, (*size, image.shape[2])) for image in images)

@@ -42,8 +42,8 @@ class Material:
     """
 
     name: str = "default"
-    base_color: np.ndarray = field(default_factory=lambda: np.float32([[[0.5, 0.5, 0.5, 1.0]]]))
-    specular: np.ndarray = field(default_factory=lambda: np.float32([[[0.0, 0.5, 0.0]]]))
+    base_color: np.ndarray = field(default_factory=lambda: np.array([[[0.5, 0.5, 0.5, 1.0]]], np.float32))
+    specular: np.ndarray = field(default_factory=lambda: np.array([[[0.0, 0.5, 0.0]]], np.float32))
     normal: np.ndarray | None = None
     alpha_mode: str = "OPAQUE"
     alpha_cutoff: float = 0.5

@@ -85,7 +85,8 @@ class GltfFile:
                 f"{self.name}: the GLB file is truncated: its header promises {length} bytes, it has {len(data)}; "
                 "copy or export it again"
             )
-        at, chunks = 12, {}
+        at = 12
+        chunks: dict[bytes, bytes] = {}
         while at + 8 <= length:
             size, kind = struct.unpack_from("<I4s", data, at)
             if at + 8 + size > length:
@@ -115,7 +116,7 @@ class GltfFile:
             raise AssetError(f"{self.name}: it refers to {kind}[{index}], which does not exist; export the file again")
         return items[index]
 
-    def view(self, index: int) -> bytes:
+    def view(self, index: int) -> memoryview:
         """
         The bytes of a buffer view.
         """

@@ -63,7 +63,7 @@ class _MaterialReader:
         info = source.get("normalTexture")
         pixels = self._texture(info, "normal map")
         normal = None
-        if pixels is not None:
+        if info and pixels is not None:
             normal = unit_normals(to_float(rgb(pixels), srgb=False) * 2 - 1, float(self._numbers(info, "scale", 1)[0]))
         for extension, meaning in _LEFT_OUT.items():
             if extension in extensions:
@@ -100,8 +100,9 @@ class _MaterialReader:
         base = self._color(pbr.get("diffuseTexture"), self._numbers(pbr, "diffuseFactor", [1] * 4), "diffuse texture")
         glossiness = constant(*self._numbers(pbr, "glossinessFactor", 1))
         pixels = self._texture(pbr.get("specularGlossinessTexture"), "specular-glossiness texture")
-        if pixels is not None and opacity(pixels) is not None:
-            glossiness = glossiness * to_float(opacity(pixels), srgb=False)
+        alpha = None if pixels is None else opacity(pixels)
+        if alpha is not None:
+            glossiness = glossiness * to_float(alpha, srgb=False)
         return base, join_channels(1 - glossiness, constant(0))
 
     def _numbers(self, source: dict, key: str, default: object) -> np.ndarray:
@@ -129,8 +130,9 @@ class _MaterialReader:
         """
         strength = constant(*self._numbers(specular, "specularFactor", 1))
         pixels = self._texture(specular.get("specularTexture"), "specular texture")
-        if pixels is not None and opacity(pixels) is not None:
-            strength = strength * to_float(opacity(pixels), srgb=False)
+        alpha = None if pixels is None else opacity(pixels)
+        if alpha is not None:
+            strength = strength * to_float(alpha, srgb=False)
         color = self._numbers(specular, "specularColorFactor", [1] * 3).reshape(1, 1, 3)
         if color.max() > 1:
             self._note(f"specularColorFactor of material '{self.name}' is above 1 and was taken as 1")
@@ -164,7 +166,7 @@ class _MaterialReader:
 
     def _wraps(self, texture: dict) -> tuple[str, str]:
         sampler = self.file.item("samplers", texture["sampler"]) if texture.get("sampler") is not None else {}
-        return _WRAPS.get(sampler.get("wrapS"), "repeat"), _WRAPS.get(sampler.get("wrapT"), "repeat")
+        return _WRAPS.get(sampler.get("wrapS", 10497), "repeat"), _WRAPS.get(sampler.get("wrapT", 10497), "repeat")
 
     def _note(self, line: str) -> None:
         self.file.resources.note(line)

@@ -244,7 +244,7 @@ def constant(*values: float) -> np.ndarray:
     """
     A texture of one texel, shape (1, 1, C), float32.
     """
-    return np.float32(values).reshape(1, 1, -1)
+    return np.array(values, np.float32).reshape(1, 1, -1)
 
 
 def join_channels(*images: np.ndarray) -> np.ndarray:
@@ -282,9 +282,9 @@ def unit_normals(vectors: np.ndarray, scale: float = 1.0) -> np.ndarray:
     scale : float
         glTF's ``normalTexture.scale``.
     """
-    vectors = vectors * np.float32([scale, scale, 1])
+    vectors = vectors * np.array([scale, scale, 1], np.float32)
     length = np.linalg.norm(vectors, axis=2, keepdims=True)
-    return np.where(length > 1e-6, vectors / np.maximum(length, 1e-6), np.float32([0, 0, 1])).astype(np.float32)
+    return np.where(length > 1e-6, vectors / np.maximum(length, 1e-6), [0.0, 0.0, 1.0]).astype(np.float32)
 
 
 def is_normal_map(pixels: np.ndarray) -> bool:

@@ -49,7 +49,7 @@ class Field:
         """
         The same everywhere.
         """
-        row = np.float32(values)[None]
+        row = np.array(values, np.float32)[None]
         return Field(lambda uv: np.broadcast_to(row, (len(uv), len(values))))
 
     @staticmethod

@@ -148,10 +148,11 @@ class Materials:
         groups = [[look.color, opacity], [look.gamma, look.roughness, look.metallic]]
         groups += [] if look.normal is None else [[look.normal]]
         varying = [f for group in groups for f in group if not f.is_constant]
-        mapping = Mapping(transform=varying[0].to_uv if varying else np.eye(2, 3))
+        to_uv = varying[0].to_uv if varying else np.eye(2, 3)
+        mapping = Mapping(transform=to_uv)
         if any(not mapping.same_place(Mapping(transform=f.to_uv)) for f in varying):
             self.resources.note(f"the textures of '{name}' have several UV transforms; all are taken to repeat as one")
-        base, specular, *normal = (np.clip(image(group, mapping.transform), -1, 1) for group in groups)
+        base, specular, *normal = (np.clip(image(group, to_uv), -1, 1) for group in groups)
         base, specular = np.maximum(base, 0), np.maximum(specular, 0)
         alpha = base[..., 3]
         mode = "OPAQUE" if alpha.min() == 1 else "MASK" if look.cutoff > 0 or alpha.max() > alpha.min() else "BLEND"
@@ -169,8 +170,8 @@ def _to_uv(texture: Node) -> np.ndarray:
     """The texture's transform of coordinates, shape (2, 3)."""
     if "to_uv" not in texture.values:
         return np.eye(2, 3)
-    m = np.array(texture.values["to_uv"].matrix, np.float64).reshape(-1)
-    m = m.reshape(int(round(len(m) ** 0.5)), -1)
+    numbers = np.array(texture.values["to_uv"].matrix, np.float64).reshape(-1)
+    m = numbers.reshape(int(round(len(numbers) ** 0.5)), -1)
     return np.column_stack([m[:2, :2], m[:2, -1]])
 
 

@@ -5,6 +5,7 @@ Parametric surfaces as textured parts: grids that close on themselves, lathes, t
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -72,6 +73,14 @@ def join(name: str, parts: list[Part]) -> Part:
     )
 
 
+def with_uvs(part: Part, start: tuple[float, float], scale: tuple[float, float]) -> Part:
+    """
+    The part with its texture coordinates scaled and moved.
+    """
+    assert part.uvs is not None
+    return replace(part, uvs=(np.array(start) + part.uvs * np.array(scale)).astype(np.float32))
+
+
 class Curve:
     """
     A smooth curve by arc length, with a frame that leans towards a given side.
@@ -93,7 +102,7 @@ class Curve:
         self._parameter = lambda s: np.interp(np.asarray(s) * way[-1], way, fine)
         self._spline, self._lean = spline, CubicSpline(chord, lean, bc_type="natural")
 
-    def frame(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def frame(self, s: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """
         Point, unit tangent, normal and binormal (tangent × normal) at ``s`` in [0, 1], shape (..., 3) each.
         """

@@ -95,7 +95,7 @@ class _Scene:
             return np.eye(4)[None]
         n = counts.pop()
         memory.require(PER_INSTANCE * n, f"{self.file.name}: a node of {n} instances", FEWER_INSTANCES)
-        return _trs(*columns, n)
+        return _trs(n, *columns)
 
     def _parts_of(self, mesh_index: int) -> list[int]:
         """Indices of the parts of a mesh, read at its first use."""
@@ -175,10 +175,10 @@ class _Scene:
         """
         file = self.file
         skin = file.item("skins", node["skin"])
-        joints = [world.get(j) for j in skin.get("joints", [])]
-        if not joints or any(j is None for j in joints):
+        joints = skin.get("joints", [])
+        if not joints or not all(j in world for j in joints):
             raise AssetError(f"{file.name}: the skin of '{name}' has joints that are not in the scene; export it again")
-        matrices = np.stack(joints)
+        matrices = np.stack([world[j] for j in joints])
         if skin.get("inverseBindMatrices") is not None:
             inverse = file.accessor(skin["inverseBindMatrices"]).astype(np.float64)
             matrices = matrices @ inverse[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)
@@ -242,10 +242,10 @@ def _local(node: dict) -> np.ndarray:
     if node.get("matrix") is not None:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     keys = ("translation", "rotation", "scale")
-    return _trs(*(None if node.get(k) is None else np.array([node[k]], np.float64) for k in keys), 1)[0]
+    return _trs(1, *(None if node.get(k) is None else np.array([node[k]], np.float64) for k in keys))[0]
 
 
-def _trs(translation: np.ndarray | None, rotation: np.ndarray | None, scale: np.ndarray | None, n: int) -> np.ndarray:
+def _trs(n: int, translation: np.ndarray | None, rotation: np.ndarray | None, scale: np.ndarray | None) -> np.ndarray:
     """Matrices of translations (N, 3), unit quaternions xyzw (N, 4) and scales (N, 3); shape (N, 4, 4)."""
     out = np.tile(np.eye(4), (n, 1, 1))
     if rotation is not None:

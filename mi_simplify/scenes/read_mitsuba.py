@@ -187,19 +187,25 @@ class _Shapes:
             if colors is None:
                 self.resources.note(f"{node} starts grey, its BSDF knows no diffuse reflectance")
                 colors = np.full((len(patch.vertices), 4), [0.5, 0.5, 0.5, 1.0], np.float32)
-        if material.normal is not None and patch.uvs is not None:
-            material = self._with_turned_normals(material, look, mapping, patch)
-        uvs = None if patch.uvs is None else mapping.apply(patch.uvs, name, self.resources).astype(np.float32)
+        uvs = None
+        if patch.uvs is not None:
+            material = self._with_turned_normals(material, look, mapping, patch.uvs[patch.faces])
+            uvs = mapping.apply(patch.uvs, name, self.resources).astype(np.float32)
         return Part(patch.vertices, patch.faces, patch.normals.astype(np.float32), uvs, colors, material, name)
 
-    def _with_turned_normals(self, material: Material, look: Look, mapping: Mapping, patch: Patch) -> Material:
-        """The material with its normal map in the tangent frames of MikkTSpace instead of Mitsuba's."""
+    def _with_turned_normals(self, material: Material, look: Look, mapping: Mapping, corner: np.ndarray) -> Material:
+        """
+        The material with its normal map in the tangent frames of MikkTSpace instead of Mitsuba's.
+
+        ``corner``, shape (F, 3, 2), are the texture coordinates of the faces.
+        """
+        if material.normal is None:
+            return material
         linear = np.eye(2) if mapping.transform is None else mapping.transform[:, :2]
         if linear[0, 1] or linear[1, 0]:
             self.resources.note(
                 f"the normal map of '{material.name}' is turned by its UV transform; it starts unturned"
             )
-        corner = patch.uvs[patch.faces]
         (a, b), (c, d) = ((corner[:, k] - corner[:, 0]).T for k in (1, 2))
         area = a * d - b * c  # positive where mirrored: v runs down the image
         mirrored = np.sum(area) > 0 and not look.normal_follows_charts
@@ -208,7 +214,7 @@ class _Shapes:
         signs = (1.0 if linear[0, 0] > 0 else -1.0, 1.0 if (linear[1, 1] > 0) != mirrored else -1.0, 1.0)
         key = id(material), signs
         if key not in self._turned:
-            self._turned[key] = replace(material, normal=material.normal * np.float32(signs))
+            self._turned[key] = replace(material, normal=material.normal * np.array(signs, np.float32))
         return self._turned[key]
 
 
@@ -251,6 +257,7 @@ def _mesh_patch(mesh: mi.Mesh) -> tuple[Patch, mi.SurfaceInteraction3f]:
 
 def _points(patch: Patch) -> mi.SurfaceInteraction3f:
     """Vertices of a tessellated shape, as textures see them."""
+    assert patch.uvs is not None
     si = dr.zeros(mi.SurfaceInteraction3f, len(patch.vertices))
     si.p, si.uv, si.n = (
         upload(mi.Point3f, patch.vertices),

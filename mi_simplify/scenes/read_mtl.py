@@ -65,11 +65,11 @@ def read_mtl(name: str, resources: Resources) -> dict[str, Material]:
 
 def _material(name: str, values: dict[str, str], resources: Resources) -> Material:
     color_map = _texture(values, "map_kd", resources)
-    color = _numbers(values.get("kd"))
+    numbers = _numbers(values.get("kd"))
     if color_map is not None:
         color = to_float(rgb(color_map), srgb=True)
-    elif color:
-        color = srgb_to_linear(np.clip(constant(*(color * 3)[:3] if len(color) < 3 else color[:3]), 0, 1))
+    elif numbers:
+        color = srgb_to_linear(np.clip(constant(*(numbers * 3)[:3] if len(numbers) < 3 else numbers[:3]), 0, 1))
     else:
         color = Material().base_color[..., :3]
     alpha, mode = _opacity(name, values, resources)
@@ -141,7 +141,7 @@ def _texture(values: dict[str, str], key: str, resources: Resources) -> np.ndarr
             words.pop(0)
             continue
         option = words.pop(0).lower()
-        arguments = []
+        arguments: list[str] = []
         while len(arguments) < _OPTIONS[option] and words and (_is_number(words[0]) or not arguments):
             arguments.append(words.pop(0))
         neutral = {"-o": 0.0, "-t": 0.0, "-s": 1.0, "-bm": 1.0}.get(option)

@@ -207,17 +207,17 @@ class _Stage:
         """Corners, shape (F, 3), of one material as a part."""
         material, mapping, color_primvar = self._material(bound)
         flat = corners.reshape(-1)
-        uvs = reader.uvs(mapping)
-        colors = None
+        color_rows = None
         if bound is None:
             color, alpha = reader.primvar("displayColor", 3), reader.primvar("displayOpacity", 1)
-            material, colors = _displayed(color, alpha)
+            material, color_rows = _displayed(color, alpha)
         elif color_primvar:
-            colors = reader.primvar(color_primvar, 3)
-        attributes = [normals, uvs, colors]
+            color_rows = reader.primvar(color_primvar, 3)
+        attributes = [normals, reader.uvs(mapping), color_rows]
         first, vertex = split_corners(index[flat], *(a[1][flat] for a in attributes if a is not None))
         chosen = flat[first]
-        normals, uvs, colors = (None if a is None else a[0][a[1][chosen]] for a in attributes)
+        of_vertex = [None if a is None else a[0][a[1][chosen]] for a in attributes]
+        uvs, colors = of_vertex[1:]
         if uvs is not None:
             if mapping is not None:
                 uvs = mapping.apply(uvs, name, self.resources)
@@ -226,7 +226,7 @@ class _Stage:
             self.resources.note(f"'{name}' has textures but no primvar '{mapping.set}'; they show one texel")
         if colors is not None and colors.shape[1] == 3:
             colors = np.concatenate([colors, np.ones((len(colors), 1))], axis=1)
-        return Part(points[index[chosen]], vertex.reshape(-1, 3), normals, uvs, colors, material, name)
+        return Part(points[index[chosen]], vertex.reshape(-1, 3), of_vertex[0], uvs, colors, material, name)
 
     def _owners(self, prim: Usd.Prim, n_faces: int) -> tuple[np.ndarray, list]:
         """The material of every face as an index into a list of bound materials, None where there is none."""
@@ -278,7 +278,7 @@ class _Corners:
     def uvs(self, mapping: Mapping | None) -> tuple[np.ndarray, np.ndarray] | None:
         """The texture coordinates that a material names; without one the usual name, or the only ones."""
         if mapping is not None:
-            return self.primvar(mapping.set, 2)
+            return self.primvar(str(mapping.set), 2)
         primvars = UsdGeom.PrimvarsAPI(self.prim).GetPrimvarsWithValues()
         kinds = ("2f[]", "2h[]", "2d[]", "float2[]")
         two = [p.GetPrimvarName() for p in primvars if str(p.GetTypeName()).endswith(kinds)]

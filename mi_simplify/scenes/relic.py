@@ -10,18 +10,19 @@ from __future__ import annotations
 import numpy as np
 
 from .asset import Material, Part
+from .images import constant
 from .noise import cloud_noise, lattice_hash, smooth_noise
-from .parametric import Curve, join, lathe, paint, smoothstep, surface, tube, unit
+from .parametric import Curve, join, lathe, paint, smoothstep, surface, tube, unit, with_uvs
 
 GOLD = np.array([0.83, 0.56, 0.16])
 
 
-def _steps(detail: float, *counts: int) -> tuple[int, ...]:
-    return tuple(max(3, round(n * detail)) for n in counts)
+def _steps(detail: float, columns: int, rows: int) -> tuple[int, int]:
+    return max(3, round(columns * detail)), max(3, round(rows * detail))
 
 
-def _texels(detail: float, *counts: int) -> tuple[int, ...]:
-    return counts if detail > 0.74 else tuple(n // 2 for n in counts)
+def _texels(detail: float, width: int, height: int) -> tuple[int, int]:
+    return (width, height) if detail > 0.74 else (width // 2, height // 2)
 
 
 def _egg_profile(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -166,10 +167,8 @@ def _thorn(knots: np.ndarray, width: float, detail: float, skin: Material, steps
         r = width * np.sqrt(np.maximum(1 - v, 0)) * (1 - 0.25 * v) + 0.0004
         return r, r * flat
 
-    columns, rows = (max(n, 3) for n in _steps(np.sqrt(detail), *steps))
-    part = surface("thorn", tube(Curve(knots, lean), radius), (columns, rows), skin)
-    uvs = np.stack([0.46 + 0.08 * part.uvs[:, 0], 0.3 + 0.01 * part.uvs[:, 1]], 1)
-    return Part(part.vertices, part.faces, uvs=uvs.astype(np.float32), material=skin, name="thorn")
+    part = surface("thorn", tube(Curve(knots, lean), radius), _steps(np.sqrt(detail), *steps), skin)
+    return with_uvs(part, (0.46, 0.3), (0.08, 0.01))
 
 
 def _spines(curve: Curve, detail: float, skin: Material) -> list[Part]:
@@ -191,7 +190,7 @@ def _head_parts(curve: Curve, detail: float, skin: Material) -> list[Part]:
     p, t, n, b = curve.frame(0.962)
     for side in (-1, 1):
         base = p + n * 0.05 + b * 0.05 * side
-        bend = [[0, 0, 0], [0.05, -0.06, 0.03], [0.1, -0.16, 0.05], [0.17, -0.22, 0.03]]
+        bend = [(0.0, 0.0, 0.0), (0.05, -0.06, 0.03), (0.1, -0.16, 0.05), (0.17, -0.22, 0.03)]
         knots = np.stack([base + n * x + t * y + b * side * z for x, y, z in bend])
         out.append(_thorn(knots, 0.02, detail, skin, (12, 24)))
     p, t, n, b = curve.frame(0.999)
@@ -204,7 +203,7 @@ def _head_parts(curve: Curve, detail: float, skin: Material) -> list[Part]:
 
 def eyes(detail: float) -> Part:
     """Two rubies; a constant material, and a part in two pieces."""
-    ruby = Material("ruby", np.float32([[[0.5, 0.012, 0.02, 1.0]]]), np.float32([[[0.0, 0.08, 0.0]]]))
+    ruby = Material("ruby", constant(0.5, 0.012, 0.02, 1), constant(0, 0.08, 0))
     p, _, n, b = _serpent_curve().frame(0.974)
     eyes = []
     for side in (-1, 1):
@@ -255,7 +254,7 @@ def foot(detail: float) -> Part:
         reach = [[0.27, -0.66], [0.4, -0.6], [0.455, -0.45], [0.5, -0.3], [0.47, -0.17]]
         knots = np.array([[r * np.cos(a + 0.2 * i), y, -r * np.sin(a + 0.2 * i)] for i, (r, y) in enumerate(reach)])
         thorn = _thorn(knots, 0.022, detail, brass, (10, 30))
-        parts.append(Part(thorn.vertices, thorn.faces, uvs=thorn.uvs * [1, 2.0], material=brass, name="prong"))
+        parts.append(with_uvs(thorn, (0, 0), (1, 2)))
     parts.append(_ring(np.array([-0.63, -0.87, 0.16]), np.array([0.25, 0.1, 1.0]), 0.12, 0.016, detail, brass, 0.1, 40))
     parts.append(_ring(np.array([-0.74, -0.885, 0.185]), np.array([0.1, 1.0, 0.3]), 0.07, 0.011, detail, brass, 0.6))
     return join("foot", parts)
@@ -274,5 +273,4 @@ def _ring(centre, axis, radius, thick, detail: float, material: Material, at: fl
         return centre + out * (radius + r * np.cos(b))[..., None] + axis * (r * np.sin(b))[..., None]
 
     part = surface("ring", position, _steps(np.sqrt(detail), 9, steps), material, closed=(True, True))
-    uvs = np.stack([at + 0.05 * part.uvs[:, 0], 0.66 + 0.02 * part.uvs[:, 1]], 1)
-    return Part(part.vertices, part.faces, uvs=uvs.astype(np.float32), material=material, name="ring")
+    return with_uvs(part, (at, 0.66), (0.05, 0.02))

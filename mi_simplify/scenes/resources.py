@@ -133,8 +133,9 @@ class Resources:
         """
         if key not in self._images:
             self._images[key] = decode_image(data(), name, self.model.name)
-        require_pixels(*self._images[key].shape[:2], f"{self.model.name}: texture '{shown(name)}'")
-        return self._images[key]
+        image = self._images[key]
+        require_pixels(image.shape[0], image.shape[1], f"{self.model.name}: texture '{shown(name)}'")
+        return image
 
     def note(self, line: str) -> None:
         """

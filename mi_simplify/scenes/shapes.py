@@ -8,6 +8,7 @@ spells them out.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -157,7 +158,7 @@ def material_bsdf(
     """
     color = material.base_color[..., :3]
     base = {"type": "rgb", "value": [float(c) for c in color[0, 0]]} if _constant(color) else bitmap(color)
-    out = {"type": "ggx_gamma", "form": form, "base_color": base, "vertex_colors": vertex_colors}
+    out: dict[str, Any] = {"type": "ggx_gamma", "form": form, "base_color": base, "vertex_colors": vertex_colors}
     for channel, name in enumerate(("gamma", "roughness", "metallic")):
         out[name] = _scalar(material.specular[..., channel : channel + 1])
     if material.alpha_mode != "OPAQUE":
@@ -248,5 +249,7 @@ def _with_tangents(part: Part, normals: np.ndarray) -> tuple[Part, np.ndarray, n
     mesh = split_mirrored(Mesh(rows[:, :3], np.arange(len(rows)), uvs, index[part.faces]))
     tangents, _ = vertex_tangents(mesh, rows[:, 3:6])
     row = rows[mesh.position_index]
-    colors = None if part.colors is None else row[:, 8:].astype(np.float32)
-    return replace(part, vertices=mesh.vertices, faces=mesh.faces, uvs=mesh.uvs, colors=colors), row[:, 3:6], tangents
+    part = replace(part, vertices=mesh.vertices, faces=mesh.faces, uvs=mesh.uvs)
+    if colors:
+        part = replace(part, colors=row[:, 8:].astype(np.float32))
+    return part, row[:, 3:6], tangents

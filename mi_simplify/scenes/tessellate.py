@@ -24,14 +24,14 @@ class Patch:
         Counter-clockwise seen from where the normals point to.
     normals : ndarray, shape (V, 3), float64
         Unit vectors.
-    uvs : ndarray, shape (V, 2), float64
-        As in ``si.uv`` of Mitsuba.
+    uvs : ndarray, shape (V, 2), float64, or None
+        As in ``si.uv`` of Mitsuba; a mesh may have none.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray
-    uvs: np.ndarray
+    uvs: np.ndarray | None
 
     def placed(self, to_world: np.ndarray, flip_normals: bool = False) -> Patch:
         """

@@ -71,7 +71,8 @@ def check_layers(path: Path, resources: Resources) -> None:
     AssetError
         A path leads out, or is an expression, which could; a layer cannot be read.
     """
-    todo, seen = [str(path)], set()
+    todo = [str(path)]
+    seen: set[str] = set()
     while todo:
         name = todo.pop()
         try:

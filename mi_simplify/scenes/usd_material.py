@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Ar, Sdf, UsdShade
@@ -82,14 +83,14 @@ class _Reader:
         if kind == "UsdUVTexture":
             found = self._texture(shader, key, is_color=color)
             if found is None:
-                return constant(*np.atleast_1d(np.float32(_DEFAULTS[key])))
+                return constant(*np.atleast_1d(np.array(_DEFAULTS[key], np.float32)))
             channels = found[..., _CHANNELS.get(output, [0])]
             return rgb(channels) if color else channels[..., :1]
         if kind in ("UsdPrimvarReader_float3", "UsdPrimvarReader_float4", "UsdPrimvarReader_vector") and color:
             self.color_primvar = str(_plain(shader, "varname", "displayColor"))
             return constant(1, 1, 1)
         self._note(key, f"comes from '{kind}', which is not supported; its default is used")
-        return constant(*np.atleast_1d(np.float32(_DEFAULTS[key])))
+        return constant(*np.atleast_1d(np.array(_DEFAULTS[key], np.float32)))
 
     def _normal(self) -> np.ndarray | None:
         source = _source(self.shader, "normal")
@@ -128,7 +129,7 @@ class _Reader:
         values = join_channels(rgb(values), constant(1) if alpha is None else alpha)
         scale, bias = _plain(shader, "scale", (1, 1, 1, 1)), _plain(shader, "bias", (0, 0, 0, 0))
         if tuple(scale) != (1, 1, 1, 1) or tuple(bias) != (0, 0, 0, 0):
-            values = values * np.float32(tuple(scale)) + np.float32(tuple(bias))
+            values = values * np.array(tuple(scale), np.float32) + np.array(tuple(bias), np.float32)
         return values
 
     def _pixels(self, shader: UsdShade.Shader, key: str) -> np.ndarray:
@@ -148,10 +149,6 @@ class _Reader:
             return self.resources.embedded_image(("usd", resolved), _reader_of(opened), asset.path)
 
     def _mapping(self, shader: UsdShade.Shader) -> Mapping:
-        wraps = tuple(
-            w if w in ("mirror", "clamp", "black") else "repeat"
-            for w in (str(_plain(shader, k, "repeat")) for k in ("wrapS", "wrapT"))
-        )
         transform = None
         source = _source(shader, "st")
         while source is not None and source[0].GetShaderId() == "UsdTransform2d":
@@ -166,14 +163,20 @@ class _Reader:
         varname = "st"
         if source is not None and source[0].GetShaderId() == "UsdPrimvarReader_float2":
             varname = str(_plain(source[0], "varname", "st"))
+        wraps = _wrap(shader, "wrapS"), _wrap(shader, "wrapT")
         return Mapping(varname, None if transform is None else transform[:2], wraps)
 
     def _note(self, what: str, line: str) -> None:
         self.resources.note(f"'{what}' of material '{self.name}' {line}")
 
 
-def _reader_of(opened: object) -> Callable[[], bytes]:
+def _reader_of(opened: Any) -> Callable[[], bytes]:
     return lambda: bytes(opened.GetBuffer())
+
+
+def _wrap(shader: UsdShade.Shader, key: str) -> str:
+    found = str(_plain(shader, key, "repeat"))
+    return found if found in ("mirror", "clamp", "black") else "repeat"
 
 
 def _attributes(shader: UsdShade.Shader, key: str) -> list:
@@ -189,7 +192,7 @@ def _source(shader: UsdShade.Shader, key: str) -> tuple[UsdShade.Shader, str] | 
     return None
 
 
-def _plain(shader: UsdShade.Shader, key: str, default: object) -> object:
+def _plain(shader: UsdShade.Shader, key: str, default: object) -> Any:
     """The value of an input that no node feeds, or the default."""
     for attribute in _attributes(shader, key):
         if not UsdShade.Output.IsOutput(attribute):

@@ -5,6 +5,7 @@ What every mesh must satisfy before anything is computed from it, and what is me
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -106,8 +107,8 @@ def _mend_material(material: Material, notes: list[str]) -> Material:
     bad = {name: image for name, image in found.items() if image is not None and not np.isfinite(image).all()}
     if bad:
         notes.append(f"{', '.join(bad)} of material '{material.name}' that is NaN or infinite was set to 0")
-    zero = {"nan": 0.0, "posinf": 0.0, "neginf": 0.0}
-    return replace(material, **{name: np.nan_to_num(image, **zero) for name, image in bad.items()}) if bad else material
+    mended: dict[str, Any] = {name: np.where(np.isfinite(image), image, np.float32(0)) for name, image in bad.items()}
+    return replace(material, **mended)
 
 
 def _mend_part(part: Part, notes: list[str]) -> Part:

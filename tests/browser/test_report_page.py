@@ -69,9 +69,9 @@ def opened(browser, report) -> Iterator:
     yield from page_of(browser, report, width=1366, height=768)
 
 
-def page_of(browser, report: Path, *, width: int, height: int, **context) -> Iterator:
+def page_of(browser, report: Path, *, width: int, height: int, **options) -> Iterator:
     """A page that shows the report, closed and judged afterwards."""
-    context = browser.new_context(viewport={"width": width, "height": height}, reduced_motion="reduce", **context)
+    context = browser.new_context(viewport={"width": width, "height": height}, reduced_motion="reduce", **options)
     page, troubles, requests = context.new_page(), [], []
     page.on("console", lambda message: troubles.append(message.text))
     page.on("pageerror", lambda error: troubles.append(str(error)))
