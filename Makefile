@@ -58,10 +58,12 @@ fuzz: install
 
 lint: install
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 format: install
 	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
 
 docs: $(VENV)/.docs
 	$(BIN)/mi-simplify config-schema > $(VENV)/config.md && mv $(VENV)/config.md docs/config.md

@@ -146,7 +146,7 @@ USDA = {
 @pytest.mark.parametrize("kind", USDA)
 def test_usd(folders, kind):
     inside, secret = folders
-    below = '#usda 1.0\n(\n    subLayers = [@../secret/quad.usda@]\n)\n'
+    below = "#usda 1.0\n(\n    subLayers = [@../secret/quad.usda@]\n)\n"
     write(inside / "below.usda", below)
     text = USDA[kind].replace("{secret}", str(secret)).replace("{}", TRIANGLE)
     refused(write(inside / "a.usda", text), OUTSIDE)
@@ -400,8 +400,11 @@ def test_mitsuba_images_and_includes_are_bounded(folders):
         body = f'<include filename="i{k + 1}.xml"/>' * 10 if k < 9 else '<shape type="sphere"/>'
         write(inside / f"i{k}.xml", f'<scene version="3.0.0">{body}</scene>')
     refused(inside / "i0.xml", "includes more than 256 files")
-    write(inside / "big.ply", "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\n"
-          "property float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n")
+    write(
+        inside / "big.ply",
+        "ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\n"
+        "property float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n",
+    )
     mesh = '<shape type="ply"><string name="filename" value="big.ply"/></shape>'
     refused(write(inside / "a.xml", f'<scene version="3.0.0">{mesh}</scene>'), "big.ply", UserError)
 

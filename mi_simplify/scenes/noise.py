@@ -33,4 +33,4 @@ def cloud_noise(u: np.ndarray, v: np.ndarray, columns: int, rows: int, octaves: 
     """
     Octaves of :func:`smooth_noise`, each half as strong and twice as fine; in [0, 1].
     """
-    return sum(smooth_noise(u, v, columns << k, rows << k) * 0.5 ** (k + 1) for k in range(octaves))
+    return np.sum([smooth_noise(u, v, columns << k, rows << k) * 0.5 ** (k + 1) for k in range(octaves)], axis=0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from .asset import Material, Part
 from .noise import cloud_noise, smooth_noise
-from .parametric import Curve, join, paint, smoothstep, surface, tube
+from .parametric import Curve, join, paint, smoothstep, surface, tube, with_uvs
 
 
 def _grid(detail: float, columns: int, rows: int) -> tuple[int, int]:
@@ -140,8 +140,7 @@ def flower(kind: int, detail: float) -> Part:
     way = np.array([[0, 0, 0], [0.02, 0.01, 0.4], [0.06, 0.04, 0.95]], float)
     column = tube(Curve(way, np.tile([1.0, 0, 0], (3, 1))), lambda u, v: (0.035 + 0.03 * v**4, 0.035 + 0.03 * v**4))
     rod = surface("column", column, (max(3, round(8 * detail)), max(3, round(14 * detail))), skin)
-    uvs = (rod.uvs * [0.1, 0.3] + [0.45, 0.2]).astype(np.float32)
-    parts.append(Part(rod.vertices, rod.faces, uvs=uvs, material=skin, name="column"))
+    parts.append(with_uvs(rod, (0.45, 0.2), (0.1, 0.3)))
     return join(f"flower_{kind}", parts)
 
 

@@ -197,7 +197,7 @@ def asset_shapes(asset: Asset, *, form: str = "gltf") -> dict[str, mi.Object]:
     few = replace(asset, instances=tuple(i for i in asset.instances if counts[i.part] <= _MANY))
     bsdfs: dict[tuple, mi.BSDF] = {}
     out = {f"part_{k}": _part_mesh(f"part_{k}", part, bsdfs, form) for k, part in enumerate(few.placed())}
-    for p in np.flatnonzero(counts > _MANY):
+    for p in np.flatnonzero(counts > _MANY).tolist():
         placements = tuple(i for i in asset.instances if i.part == p)
         if len(placements) * len(asset.parts[p].faces) <= _COPIED:
             out[f"copies_{p}"] = _part_mesh(f"copies_{p}", _copied(asset, p, placements), bsdfs, form)
