@@ -5,8 +5,6 @@ What a run would do and what it would take: it is begun in earnest, the first st
 from __future__ import annotations
 
 import math
-import sys
-import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +15,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from . import memory
 from .config import Config
 from .errors import OutputError
 from .events import require_tensorboard
@@ -25,7 +24,7 @@ from .export.gltf import glb_bytes
 from .fitting import Run
 from .fitting.fit import REFRESH_EVERY
 from .fitting.schedules import resolution_at
-from .footprint import check_footprint
+from .footprint import check_footprint, footprint
 from .frame import Frame
 from .latent.model import Mesh, Model
 from .output import RunFolder
@@ -36,6 +35,7 @@ from .report.pictures import contact_sheet
 from .runtime import ensure_variant
 from .scenes.asset import Asset
 from .scenes.reference import Reference
+from .stopwatch import Stopwatch
 from .subjects import Subject, open_subject
 
 
@@ -50,15 +50,15 @@ class Forecast:
         What would be done, by stage.
     seconds : dict of str to float
         Expected time of every stage.
-    memory : int or None
-        Expected peak of the process [bytes]; None where the system does not tell what it is now.
+    memory : int
+        Expected peak of the process [bytes]: what :func:`.footprint.footprint` reckons, or the trial took, if more.
     steps : int
         How many steps of the fit were done to find out.
     """
 
     plan: dict[str, str]
     seconds: dict[str, float] = field(default_factory=dict)
-    memory: int | None = None
+    memory: int = 0
     steps: int = 0
 
     def summary(self) -> str:
@@ -67,8 +67,7 @@ class Forecast:
         """
         parts = ", ".join(f"{name} {_words(seconds)}" for name, seconds in self.seconds.items())
         rows = dict(self.plan) | {"time": f"about {_words(sum(self.seconds.values()))}: {parts}"}
-        if self.memory is not None:
-            rows["memory"] = f"about {self.memory / 1e9:.1f} GB at most"
+        rows["memory"] = f"about {memory.shown_size(self.memory)} at most"
         rows["measured"] = (
             f"on this machine as busy as it is now: the first guess, {self.steps} steps of the fit and one view of the "
             "evaluation were done, the rest is reckoned from them; nothing was written"
@@ -103,7 +102,7 @@ def forecast(
     if config.export.tensorboard:
         require_tensorboard()
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
-    clock = _Clock()
+    clock = Stopwatch()
     progress(Progress("load", message=config.asset))
     subject = open_subject(config.asset)
     asset = subject.geometry
@@ -118,8 +117,7 @@ def forecast(
     if config.optimizer.steps:
         _try_fit(result, config, guess, reference, progress)
     _try_rest(result, config, subject, frame.restored(guess), progress)
-    peak = _peak_memory()
-    result.memory = None if peak is None else peak + _to_come(config)
+    result.memory = max(sum(footprint(config, asset).values()), memory.peak() or 0)
     return result
 
 
@@ -155,7 +153,7 @@ def _try_fit(result: Forecast, config: Config, guess: Model, reference: Referenc
     Time the first steps at every resolution: a span of ``REFRESH_EVERY`` to warm up, in which kernels are compiled and
     the pool is begun, and another, in which the pool is refreshed once as in all that follow.
     """
-    n_steps, clock = config.optimizer.steps, _Clock()
+    n_steps, clock = config.optimizer.steps, Stopwatch()
     counts = Counter(resolution_at(k / n_steps, config.optimizer.resolution) for k in range(n_steps))
     n_trial = sum(min(2 * REFRESH_EVERY, n) for n in counts.values())
     run = Run(guess, reference, config)
@@ -181,7 +179,7 @@ def _try_fit(result: Forecast, config: Config, guess: Model, reference: Referenc
 def _try_rest(result: Forecast, config: Config, subject: Subject, guess: Model, progress: ProgressCallback) -> None:
     """Time an export, one view of the evaluation and its page; views cost alike, and so do candidates."""
     progress(Progress("trial", message="evaluation"))
-    judged, clock, candidate = config.evaluation, _Clock(), guess.as_asset()
+    judged, clock, candidate = config.evaluation, Stopwatch(), guess.as_asset()
     glb_bytes(guess)
     result.seconds["export"] = clock.lap() * (1 + len(config.export.formats))  # and one is read back
     n_images = judged.views * (3 + judged.baseline)
@@ -203,37 +201,6 @@ def _try_rest(result: Forecast, config: Config, subject: Subject, guess: Model, 
     models = {"result": candidate} if subject.shown is None else {"reference": subject.shown, "result": candidate}
     report_page(comparison, title=subject.geometry.name, models=models)
     result.seconds["report"] = clock.lap() + per_view * judged.views
-
-
-def _to_come(config: Config) -> int:
-    """Bytes of what grows after the trial: the pool with its copy in a checkpoint, and the images of the evaluation."""
-    channels = 7 if config.reference.transport == "matched" else 4
-    pool = config.reference.pool * channels * max(config.optimizer.resolution) ** 2 * np.float16().nbytes
-    judged = config.evaluation
-    views = judged.views * (3 + judged.baseline) * 4 * judged.resolution**2 * np.float32().nbytes
-    return max(2 * pool, 3 * views) if config.optimizer.steps else 3 * views
-
-
-def _peak_memory() -> int | None:
-    """Most memory that this process has had [bytes]."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return None
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-
-
-class _Clock:
-    """Seconds since it was looked at last."""
-
-    def __init__(self):
-        self._last = time.perf_counter()
-
-    def lap(self) -> float:
-        now = time.perf_counter()
-        self._last, passed = now, now - self._last
-        return passed
 
 
 def _words(seconds: float) -> str:

@@ -4,7 +4,6 @@ The main job: from an asset to a small textured model in files, with the figures
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from .report.self_check import LEAST_PSNR, self_check
 from .runtime import ensure_variant
 from .scenes.asset import Asset
 from .scenes.load import load_asset
+from .stopwatch import Stopwatch
 from .subjects import Subject, open_asset, open_subject
 
 
@@ -111,7 +111,7 @@ def run_job(
 
 def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, interrupt: DeferredInterrupt) -> Result:
     """The stages in their order, with the variant set and the folder free."""
-    clock = _Stopwatch()
+    clock = Stopwatch()
     progress(Progress("load", message=config.asset))
     subject = open_subject(config.asset)
     check_footprint(config, subject.geometry)
@@ -265,18 +265,3 @@ def figure_rows(figures: dict) -> list[str]:
         f"  silhouette error {row['silhouette_error']:.4f}"
         for name, row in figures["candidates"].items()
     ]
-
-
-class _Stopwatch:
-    """Seconds of each stage, and in total."""
-
-    def __init__(self):
-        self.seconds: dict[str, float] = {"total": 0.0}
-        self._start = self._lap = time.perf_counter()
-
-    def lap(self, stage: str, before: float = 0.0) -> None:
-        now = time.perf_counter()
-        self._start -= before  # seconds of the process that was resumed
-        self.seconds[stage] = round(now - self._lap + before, 2)
-        self.seconds["total"] = round(now - self._start, 2)
-        self._lap = now

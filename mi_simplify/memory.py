@@ -11,6 +11,7 @@ import contextlib
 import contextvars
 import os
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -98,6 +99,18 @@ def held() -> int | None:
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError, AttributeError):
         return None
+
+
+def peak() -> int | None:
+    """
+    Most memory that this process has held [bytes]; None where the system does not tell.
+    """
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def _free_in_system() -> int | None:

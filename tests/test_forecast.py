@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_cli import bumpy_sphere
 
-from mi_simplify import cli, forecast
+from mi_simplify import cli, forecast, stopwatch
 from mi_simplify.config import load_config
 from mi_simplify.errors import OutputError
 from mi_simplify.fitting.fit import REFRESH_EVERY
@@ -60,7 +60,7 @@ class SteadyRun:
 def test_the_fit_is_reckoned_from_its_first_steps(config, monkeypatch, steps, done):
     config = config.model_copy(update={"optimizer": config.optimizer.model_copy(update={"steps": steps})})
     monkeypatch.setattr(forecast, "Run", SteadyRun)
-    monkeypatch.setattr(forecast, "time", SimpleNamespace(perf_counter=lambda: SteadyRun.now))
+    monkeypatch.setattr(stopwatch, "time", SimpleNamespace(perf_counter=lambda: SteadyRun.now))
     result = forecast.Forecast({})
     forecast._try_fit(result, config, None, None, lambda progress: None)
     SteadyRun.now = 0.0
