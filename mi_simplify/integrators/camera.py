@@ -153,3 +153,82 @@ class FilmRays:
     def pixel(self, index: mi.UInt32) -> mi.UInt32:
         """Pixel of the batch that some of the rays belong to."""
         return film_samples(self.cameras, self.spp, self.seed, index)[0]
+
+    def weight(self, index: mi.UInt32) -> float:
+        """What some of the rays count in their pixels."""
+        return 1 / self.spp
+
+
+@dataclass
+class PixelRays:
+    """
+    One camera ray a pixel, where the pixel is shaded, and how much of the pixel that stands for.
+
+    Parameters
+    ----------
+    cameras : Cameras
+    x, y : mi.Float
+        Film positions, one a pixel of the batch; detached.
+    coverage : mi.Float
+        Share of the pixel's samples of visibility that hit the surface.
+    n_traced : int
+        How many samples of visibility that were.
+    """
+
+    cameras: Cameras
+    x: mi.Float
+    y: mi.Float
+    coverage: mi.Float
+    n_traced: int
+
+    def __len__(self) -> int:
+        return self.n_traced
+
+    def at(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.Point3f, mi.Vector3f]:
+        """View, origin and unit direction of some of the rays."""
+        view = index // (self.cameras.width * self.cameras.height)
+        x, y = dr.gather(mi.Float, self.x, index), dr.gather(mi.Float, self.y, index)
+        return view, *self.cameras.ray(view, x, y)
+
+    def pixel(self, index: mi.UInt32) -> mi.UInt32:
+        """Pixel of the batch that some of the rays belong to."""
+        return index
+
+    def weight(self, index: mi.UInt32) -> mi.Float:
+        """What some of the rays count in their pixels."""
+        return dr.gather(mi.Float, self.coverage, index)
+
+    @staticmethod
+    def centred(cameras: Cameras) -> PixelRays:
+        """
+        Through the centres of all pixels, each for the whole of its pixel: images without antialiasing.
+        """
+        pixel = dr.arange(mi.UInt32, cameras.n_pixels)
+        row = pixel // cameras.width
+        x, y = mi.Float(pixel - row * cameras.width) + 0.5, mi.Float(row % cameras.height) + 0.5
+        return PixelRays(cameras, x, y, dr.opaque(mi.Float, 1, cameras.n_pixels), cameras.n_pixels)
+
+    @staticmethod
+    def through_visible(samples: FilmRays, is_hit: mi.Bool) -> tuple[PixelRays, mi.UInt32]:
+        """
+        Of the samples of each pixel one of those that hit, at random: what the pixel shows is then, on average, what
+        shading all of them would show.
+
+        Returns
+        -------
+        rays : PixelRays
+        index : mi.UInt32, width B·height·width
+            Of the sample that was chosen; undefined where none hit, and the coverage is 0.
+        """
+        n, spp, index = samples.cameras.n_pixels, samples.spp, dr.arange(mi.UInt32, len(samples))
+        pixel, _, x, y = film_samples(samples.cameras, spp, samples.seed, index)
+        lot = (mi.sample_tea_32(index, samples.seed + 1, 6)[0] & 0xFFFF0000) | (index - (index // spp) * spp + 1)
+        coverage, best = dr.zeros(mi.Float, n), dr.zeros(mi.UInt32, n)
+        dr.scatter_reduce(dr.ReduceOp.Add, coverage, mi.Float(1 / spp), pixel, is_hit)
+        dr.scatter_reduce(dr.ReduceOp.Max, best, lot, pixel, is_hit)
+        dr.eval(coverage, best)
+        is_chosen = is_hit & (dr.gather(mi.UInt32, best, pixel) == lot)
+        places, chosen = [dr.zeros(mi.Float, n), dr.zeros(mi.Float, n)], dr.zeros(mi.UInt32, n)
+        for buffer, value in zip((*places, chosen), (x, y, index), strict=True):
+            dr.scatter(buffer, value, pixel, is_chosen)
+        return PixelRays(samples.cameras, *places, coverage, len(samples)), chosen

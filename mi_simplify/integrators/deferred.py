@@ -20,7 +20,7 @@ from ..latent.surface import MeshTopology, Surface
 from ..latent.textures import TexelGradient, Textures, TouchedBlocks
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
-from .camera import Cameras, FilmRays
+from .camera import Cameras, FilmRays, PixelRays
 from .edge_samples import EdgeRays, EdgeSet
 from .edges import edge_table
 from .gbuffer import MISS, Hits, fragment, occluded, trace
@@ -38,8 +38,8 @@ class Frame:
         Premultiplied radiance and coverage of every pixel.
     views : mi.Float
         Packets of the cameras, attached where the views are.
-    rays : FilmRays
-        Detached.
+    rays : FilmRays or PixelRays
+        Those that are shaded; detached.
     hits : Hits or None
         None where nothing was hit.
     touched : TouchedBlocks or None
@@ -48,7 +48,7 @@ class Frame:
 
     image: mi.Vector4f
     views: mi.Float
-    rays: FilmRays
+    rays: FilmRays | PixelRays
     hits: Hits | None = None
     touched: TouchedBlocks | None = None
 
@@ -66,12 +66,22 @@ class DeferredRenderer:
         Edge samples for one camera sample.
     shadows : bool
         Test the visibility of the light; a constant, the borders of shadows have no gradient.
+    shade : {'sample', 'pixel', 'centre'}
+        Shade every sample; or one visible sample a pixel, at random, and weigh it by the share of the pixel's samples
+        that hit, as multisampling (MSAA) does: on average that shows what shading all of them does, so that its
+        derivatives are those of the same edges; or nothing but the centre of every pixel, without antialiasing.
     """
 
     def __init__(
-        self, topology: MeshTopology, *, form: str = "gltf", edge_fraction: float = 0.15, shadows: bool = False
+        self,
+        topology: MeshTopology,
+        *,
+        form: str = "gltf",
+        edge_fraction: float = 0.15,
+        shadows: bool = False,
+        shade: str = "sample",
     ):
-        mesh = topology.mesh
+        mesh, self.shade = topology.mesh, shade
         self.topology, self.form, self.edge_fraction, self.shadows = topology, form, edge_fraction, shadows
         self.tracer = MovingMesh(mesh.positions, mesh.position_faces)
         table = edge_table(mesh.position_faces, mesh.faces)
@@ -92,7 +102,7 @@ class DeferredRenderer:
         surface : Surface
             Of the positions last given to :meth:`move`.
         spp : int
-            Samples per pixel.
+            Samples per pixel, of visibility or of both.
         seed : mi.UInt32
             Opaque; the same seed gives the same sample positions.
 
@@ -102,16 +112,19 @@ class DeferredRenderer:
         view see the background, so shading and its derivative run over a fraction of them.
         """
         cameras = Cameras.of(views)
-        rays = FilmRays(replace(cameras, packets=dr.detach(cameras.packets)), spp, seed)
+        detached = replace(cameras, packets=dr.detach(cameras.packets))
+        rays = PixelRays.centred(detached) if self.shade == "centre" else FilmRays(detached, spp, seed)
         surface = _detached(surface)
         _, origin, direction = rays.at(dr.arange(mi.UInt32, len(rays)))
         face, _ = trace(self.tracer.scene, origin, direction)
+        if self.shade == "pixel":
+            rays, face = _one_a_pixel(rays, face)
         hits = self._hits(surface, rays, face, face != MISS)
         if hits is None:
-            return Frame(dr.zeros(mi.Vector4f, rays.cameras.n_pixels), cameras.packets, rays)
+            return Frame(dr.zeros(mi.Vector4f, detached.n_pixels), cameras.packets, rays)
         image, flags = _image(surface, textures, rays, hits, self.form, _gradients_wanted())
         touched = None if flags is None else TouchedBlocks.of(textures, flags)
-        return Frame(_pixels(image, rays.cameras), cameras.packets, rays, hits, touched)
+        return Frame(_pixels(image, detached), cameras.packets, rays, hits, touched)
 
     def backward(
         self,
@@ -193,7 +206,7 @@ class DeferredRenderer:
             value, footprint = shade_hits(moving, textures, moved_rays, frame.hits, self.form, offset)
             if texel_tangent is not None:
                 dr.set_grad(offset, dr.detach(texel_tangent.lookup(footprint)))
-            value = dr.forward_to(value) * (1 / rays.spp)
+            value = dr.forward_to(value) * rays.weight(frame.hits.ray)
             dr.scatter_reduce(dr.ReduceOp.Add, image, value, rays.pixel(frame.hits.ray))
         edges = self._edge_hits(frame, surface, positions, seed)
         if edges is not None:
@@ -258,11 +271,21 @@ def _image(surface, textures, rays, hits, form, touch):
     """
     value, footprint = shade_hits(surface, textures, rays, hits, form)
     image, pixel = dr.zeros(mi.Float, rays.cameras.n_pixels * 4), rays.pixel(hits.ray)
-    if rays.spp == 1:
+    value *= rays.weight(hits.ray)
+    if isinstance(rays, PixelRays) or rays.spp == 1:
         dr.scatter(image, value, pixel)
     else:
-        dr.scatter_reduce(dr.ReduceOp.Add, image, value * (1 / rays.spp), pixel, mode=dr.ReduceMode.Local)
+        dr.scatter_reduce(dr.ReduceOp.Add, image, value, pixel, mode=dr.ReduceMode.Local)
     return image, TouchedBlocks.flags(textures, footprint) if touch else None
+
+
+@frozen()
+def _one_a_pixel(rays, face):
+    """
+    Of the samples of every pixel one that hit, and its face.
+    """
+    rays, chosen = PixelRays.through_visible(rays, face != MISS)
+    return rays, dr.select(rays.coverage > 0, dr.gather(mi.UInt32, face, chosen), MISS)
 
 
 @frozen("hits", "touched")
@@ -277,7 +300,7 @@ def _interior(surface, textures, rays, hits, touched, form, grad, views_move):
         dr.enable_grad(views)
     rays = replace(rays, cameras=replace(rays.cameras, packets=views))
     value, footprint = shade_hits(replace(surface, packets=packets), textures, rays, hits, form, offset)
-    _traverse(value, dr.gather(mi.Vector4f, grad, rays.pixel(hits.ray)) * (1 / rays.spp))
+    _traverse(value, dr.gather(mi.Vector4f, grad, rays.pixel(hits.ray)) * rays.weight(hits.ray))
     texels = TexelGradient.collect(textures, footprint, touched, dr.grad(offset))
     return texels.values, dr.grad(packets), dr.grad(views) if views_move else 0.0
 
