@@ -51,6 +51,7 @@ def kernels(step) -> set:
         ("custom mips", {"latent": {"mips": "custom"}}),
         ("derived mips", {"latent": {"mips": "derived"}}),
         ("several samples a pixel", {"optimizer": {"spp": 4}}),
+        ("one shading sample a pixel", {"optimizer": {"spp": 4, "shade": "pixel"}}),
     ],
 )
 def test_no_kernel_of_a_fit_is_compiled_after_the_third_step(name, section):

@@ -1,5 +1,5 @@
 """
-A configuration from its layers: defaults < start < preset < YAML file < overrides; and back into YAML.
+A configuration from its layers: defaults < prefiltering < start < preset < YAML file < overrides; and back into YAML.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from ..errors import ConfigError
-from .presets import PRESETS, STARTS
+from .presets import PRESETS, STARTS, prefiltering
 from .problems import describe, nearest
 from .schema import Config, PathMark
 
@@ -64,6 +64,10 @@ def load_config(
     kind = initial.get("kind") if isinstance(initial, Mapping) else None
     if isinstance(kind, str):
         merged = _merge(STARTS.get(kind, {}), merged)
+    optimizer = merged.get("optimizer")
+    target = optimizer.get("target_resolution") if isinstance(optimizer, Mapping) else None
+    if isinstance(target, int) and 8 <= target <= 8192:
+        merged = _merge(prefiltering(target), merged)
     try:
         return Config.model_validate(merged)
     except ValidationError as error:

@@ -13,6 +13,27 @@ PRESETS: dict[str, dict[str, Any]] = {
     "best": {"optimizer": {"steps": 3000, "spp": 4}, "reference": {"spp": 32}},
 }
 
+
+
+def prefiltering(target: int) -> dict[str, Any]:
+    """
+    Settings for a model that is seen at ``target`` pixels: textures of one or two texels a pixel, averaged as viewers
+    do, shaded once a pixel, against an image whose noise is small beside one pixel's.
+    """
+    return {
+        "initial": {"atlas_size": min(max(2 << (target - 1).bit_length(), 64), 1024)},
+        "latent": {"mips": "derived"},
+        "optimizer": {
+            "resolution": target,
+            "batch": min(max(2 * 65536 // target**2, 2), 32),
+            "spp": 8,
+            "shade": "pixel",
+        },
+        "reference": {"spp": min(max((1 << 20) // target**2, 16), 256), "pool": 512 if target <= 128 else 128},
+        "evaluation": {"resolution": max(target, 16)},
+    }
+
+
 STARTS: dict[str, dict[str, Any]] = {
     # By `initial.kind`. A sphere has a long way to go: outlines pull most, on the surface as a whole, coarse to fine.
     "sphere": {

@@ -195,7 +195,22 @@ class Optimizer(Section):
     resolution: Resolutions = Field(
         (256,), description="Image width and height [px], or a list of them from coarse to fine."
     )
+    target_resolution: Pixels | None = Field(
+        None,
+        description="Prefilter: make the model for images of this size, where one sample per pixel is to show what many "
+        "show of the asset. Resolution, batch, samples, textures and `shade` then have other defaults.",
+    )
+    least_resolution: Pixels | None = Field(
+        None,
+        description="Random resolutions from `resolution` down to this one, a step's pixels staying as many; none: "
+        "`resolution` alone.",
+    )
     spp: int = Field(2, ge=1, le=65536, description="Samples per pixel of a latent image.")
+    shade: Literal["sample", "pixel"] = Field(
+        "sample",
+        description="Shade every sample, or only one in each pixel: more samples then make outlines smooth, but not "
+        "what textures and normals make of a pixel.",
+    )
     rates: Rates = Rates()
     decay: float = Field(0.05, gt=0, le=1, description="Factor by which the rates fall over the whole run.")
     large_steps: LargeSteps = LargeSteps()

@@ -25,6 +25,7 @@ from .pool import ViewPool
 from .residual import PathResidual
 from .schedules import exponential, laplacian_weight, resolution_at
 from .shape import ShapeSteps
+from .sizes import at_sizes
 from .texels import TexelAdam
 
 
@@ -48,7 +49,7 @@ class Fit:
         self.latent = Latent(model, extended=bool(extended), mips=config.latent.mips)
         base = self.latent.operation.base
         matched = config.reference.transport == "matched"
-        self.renderer = DeferredRenderer(self.latent.topology, form=config.latent.shading, shadows=matched)
+        self.renderer = DeferredRenderer(self.latent.topology, form=config.latent.shading, shadows=matched, shade=config.optimizer.shade)
         large_steps = config.optimizer.large_steps
         diffusion = large_steps.lambda_ if large_steps.enabled else 0.0
         self.shape = ShapeSteps(self.latent.operation, optimize, dict(rates), diffusion)
@@ -76,7 +77,8 @@ class Fit:
                 self._state, self.renderer,
                 spp=config.reference.spp, max_depth=config.reference.max_depth, form=config.latent.shading,
             )  # fmt: skip
-        self.pool = ViewPool(reference, draw, config.reference.pool, np.random.default_rng(config.seed), residual)
+        sized = partial(at_sizes, draw, config.optimizer.least_resolution)
+        self.pool = ViewPool(reference, sized, config.reference.pool, np.random.default_rng(config.seed), residual)
         held_out = config.evaluation
         resolution = min(held_out.resolution, max(config.optimizer.resolution))
         (self.held_out,) = draw(min(held_out.views, 8), np.random.default_rng(config.seed + 1), resolution)

@@ -137,12 +137,15 @@ class ViewPool:
 
     def batch(self, n: int) -> tuple[Views, mi.Vector4f, mi.Vector4f]:
         """
-        ``n`` different views of one instant (some twice if the pool holds fewer), their images and residuals, width
-        ``n·H·W``. Instants come up as often as there are views of them.
+        Different views of one instant (some twice if the pool holds fewer), their images and residuals, width
+        ``n·H·W``: ``n`` of them, or, where they are smaller than the pool's resolution, as many as have no more pixels.
+        Instants come up as often as there are pixels of them.
         """
         instants = [tuple(view[key] for key in ("frame", "width", "height")) for view in self._views]
-        instant = instants[self.rng.integers(len(instants))]
+        pixels = np.cumsum([width * height for _, width, height in instants])
+        instant = instants[np.searchsorted(pixels, self.rng.integers(pixels[-1]), side="right")]
         same = [k for k, other in enumerate(instants) if other == instant]
+        n = max(n, int(n * self.resolution**2 / (instant[1] * instant[2])))
         pick = self.rng.choice(same, size=n, replace=len(same) < n)
         arrays = {key: np.stack([self._views[i][key] for i in pick]) for key in self._views[0]}
         views = Views.from_arrays(arrays, int(instant[1]), int(instant[2]))

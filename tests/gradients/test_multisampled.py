@@ -10,6 +10,7 @@ from .batched import Batched
 from .finite_difference import along, central_difference, compare
 from .scenes import film_weights, parameters
 
+
 @pytest.mark.parametrize("name", ["smooth, seams", "cube"])
 def test_geometry_against_differences(name):
     scene = dataclasses.replace(scenes.scene(name), step=0.8)  # wide: every flip of the one sample is noise
