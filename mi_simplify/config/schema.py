@@ -197,8 +197,8 @@ class Optimizer(Section):
     )
     target_resolution: Pixels | None = Field(
         None,
-        description="Prefilter: make the model for images of this size, where one sample per pixel is to show what many "
-        "show of the asset. Resolution, batch, samples, textures and `shade` then have other defaults.",
+        description="Prefilter: make the model for images of this size, where one sample per pixel is to show what "
+        "many show of the asset. Resolution, batch, samples, textures and `shade` then have other defaults.",
     )
     least_resolution: Pixels | None = Field(
         None,

@@ -49,7 +49,9 @@ class Fit:
         self.latent = Latent(model, extended=bool(extended), mips=config.latent.mips)
         base = self.latent.operation.base
         matched = config.reference.transport == "matched"
-        self.renderer = DeferredRenderer(self.latent.topology, form=config.latent.shading, shadows=matched, shade=config.optimizer.shade)
+        self.renderer = DeferredRenderer(
+            self.latent.topology, form=config.latent.shading, shadows=matched, shade=config.optimizer.shade
+        )
         large_steps = config.optimizer.large_steps
         diffusion = large_steps.lambda_ if large_steps.enabled else 0.0
         self.shape = ShapeSteps(self.latent.operation, optimize, dict(rates), diffusion)
