@@ -14,7 +14,6 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
-
 def prefiltering(target: int) -> dict[str, Any]:
     """
     Settings for a model that is seen at ``target`` pixels: textures of one or two texels a pixel, averaged as viewers

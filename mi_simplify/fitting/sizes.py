@@ -24,9 +24,7 @@ def film_sizes(resolution: int, least: int | None) -> list[int]:
     return sorted({resolution, *(max(4, 4 * round(s / 4)) for s in sides[1:])}, reverse=True)
 
 
-def at_sizes(
-    draw: Callable, least: int | None, n: int, rng: np.random.Generator, resolution: int
-) -> list[Views]:
+def at_sizes(draw: Callable, least: int | None, n: int, rng: np.random.Generator, resolution: int) -> list[Views]:
     """
     Random views for images of all sizes, as many pixels of each, together about as many as ``n`` of the largest have.
 
