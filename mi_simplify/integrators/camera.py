@@ -228,7 +228,7 @@ class PixelRays:
         dr.scatter_reduce(dr.ReduceOp.Max, best, lot, pixel, is_hit)
         dr.eval(coverage, best)
         is_chosen = is_hit & (dr.gather(mi.UInt32, best, pixel) == lot)
-        places, chosen = [dr.zeros(mi.Float, n), dr.zeros(mi.Float, n)], dr.zeros(mi.UInt32, n)
-        for buffer, value in zip((*places, chosen), (x, y, index), strict=True):
+        at_x, at_y, chosen = dr.zeros(mi.Float, n), dr.zeros(mi.Float, n), dr.zeros(mi.UInt32, n)
+        for buffer, value in ((at_x, x), (at_y, y), (chosen, index)):
             dr.scatter(buffer, value, pixel, is_chosen)
-        return PixelRays(samples.cameras, *places, coverage, len(samples)), chosen
+        return PixelRays(samples.cameras, at_x, at_y, coverage, len(samples)), chosen

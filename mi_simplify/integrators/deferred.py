@@ -249,7 +249,9 @@ class DeferredRenderer:
         hits = self._hits(_detached(surface), rays, face, keep)
         return None if hits is None else (rays, hits)
 
-    def _hits(self, surface: Surface, rays: FilmRays | EdgeRays, face: mi.UInt32, keep: mi.Bool) -> Hits | None:
+    def _hits(
+        self, surface: Surface, rays: FilmRays | PixelRays | EdgeRays, face: mi.UInt32, keep: mi.Bool
+    ) -> Hits | None:
         """
         Those of all rays that are kept; reads back how many.
         """
