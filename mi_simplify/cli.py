@@ -127,15 +127,15 @@ def cli() -> None:
 @_QUIET
 def simplify(asset, triangles, init, keep_uv, out, config, settings, **options) -> None:
     """
-    Simplify ASSET: a model file, a Mitsuba scene, or sample:relic for the embedded one.
+    Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
+    an implicit surface.
     """
     initial: dict[str, Any] = {} if triangles is None else {"triangles": triangles}
     if init is not None:
         initial |= {"kind": "sphere", "mesh": None} if init == "sphere" else {"kind": "mesh", "mesh": init}
     if keep_uv:
         initial["keep_uv"] = True
-    name = asset.removeprefix("sample:")
-    _run(config, out or _default_folder(name), [*settings, {"asset": asset, "initial": initial}], **options)
+    _run(config, out or _default_folder(asset), [*settings, {"asset": asset, "initial": initial}], **options)
 
 
 @cli.command()
@@ -155,7 +155,12 @@ def run(config, out, settings, **options) -> None:
 
 
 def _default_folder(name: str) -> Path:
-    return Path("out", Path(name).stem)
+    """Of an asset: out/NAME; images are called as their folder is."""
+    from .config import code_of
+
+    name = code_of(name) or name.removeprefix("sample:")
+    path = Path(name)
+    return Path("out", path.absolute().parent.name if path.name.startswith("transforms") else path.stem)
 
 
 def _run(

@@ -25,7 +25,6 @@ from .fitting import Run
 from .fitting.fit import REFRESH_EVERY
 from .fitting.schedules import resolution_at
 from .footprint import check_footprint, footprint
-from .frame import Frame
 from .latent.model import Mesh, Model
 from .output import RunFolder
 from .preview import SHARE
@@ -104,15 +103,14 @@ def forecast(
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
     clock = Stopwatch()
     progress(Progress("load", message=config.asset))
-    subject = open_subject(config.asset)
-    asset = subject.geometry
+    subject = open_subject(config)
+    asset, config, frame = subject.geometry, subject.config, subject.frame
     check_footprint(config, asset)
-    frame = Frame.around(asset.bounds)
     load = clock.lap()
     progress(Progress("first guess"))
-    guess, notes = subject.guess(config, frame)
+    guess, notes = subject.guess()
     result = Forecast(_plan(config, asset, guess, notes, folder.path))
-    reference = subject.reference(config, frame)
+    reference = subject.reference()
     result.seconds |= {"load": load, "first guess": clock.lap()}
     if config.optimizer.steps:
         _try_fit(result, config, guess, reference, progress)

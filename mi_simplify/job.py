@@ -10,13 +10,12 @@ from pathlib import Path
 
 from . import __version__
 from .checkpoint import Checkpoint
-from .config import Config, dump
+from .config import Config, dump, load_config
 from .errors import Defect
 from .events import require_tensorboard
 from .export import export_model
 from .export.files import write_atomic
 from .footprint import check_footprint
-from .frame import Frame
 from .initial import first_guess, quadrics_only
 from .interrupt import DeferredInterrupt
 from .latent.model import Model
@@ -113,9 +112,9 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
     """The stages in their order, with the variant set and the folder free."""
     clock = Stopwatch()
     progress(Progress("load", message=config.asset))
-    subject = open_subject(config.asset)
+    subject = open_subject(config)
+    config, frame = subject.config, subject.frame
     check_footprint(config, subject.geometry)
-    frame = Frame.around(subject.geometry.bounds)
     clock.lap("load")
     checkpoint = Checkpoint(folder.checkpoint, config, subject.geometry)
     state = None
@@ -123,8 +122,8 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         guess, notes, state = checkpoint.load()
     else:
         progress(Progress("first guess"))
-        guess, notes = subject.guess(config, frame)
-    reference = subject.reference(config, frame)
+        guess, notes = subject.guess()
+    reference = subject.reference()
     clock.lap("first guess")
     with folder.opened():
         if not folder.resume:
@@ -139,7 +138,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             interrupt.left_behind = f"{folder.path} holds the finished fit; the same command with --resume judges it"
         written = record.export(model)  # before it is judged, whatever happens there
         clock.lap("export")
-        result = load_asset(written)
+        result = replace(load_asset(written), ambient=model.ambient)  # formats but GLB do not carry it
         shown = self_check(fitted.model, frame.normalised(result), form=config.latent.shading)
         candidates = {"first guess": guess.as_asset(), "result": result}
         judged = config.evaluation
@@ -235,7 +234,7 @@ def evaluate_job(
     **settings: int,
 ) -> dict:
     """
-    Judge files against a subject; see :func:`mi_simplify.report.compare_assets` for the settings.
+    Judge files against an asset, or that of a YAML file under its light; see :func:`mi_simplify.report.compare_assets` for the settings.
 
     Returns
     -------
@@ -245,7 +244,9 @@ def evaluate_job(
     folder = None if out is None else RunFolder(out, overwrite=overwrite)
     ensure_variant(variant)
     progress(Progress("load"))
-    subject, assets = open_subject(reference), {name: open_asset(name) for name in candidates}
+    is_config = Path(reference).suffix.lower() in (".yaml", ".yml")
+    subject = open_subject(load_config(reference) if is_config else Config(asset=reference))
+    assets = {name: open_asset(name) for name in candidates}
     comparison = subject.judge(assets, progress=progress, **settings)
     if folder is not None:
         with folder.opened():

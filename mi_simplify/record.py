@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from .checkpoint import Checkpoint
 from .config import Config
@@ -48,7 +49,7 @@ class Record:
     interrupt: DeferredInterrupt
     config: Config
     frame: Frame
-    facts: dict[str, str]
+    facts: dict[str, Any]
 
     def fit(self, guess: Model, reference: Reference, state: dict | None, progress: ProgressCallback) -> FitResult:
         """
@@ -108,12 +109,16 @@ class Record:
         OutputError
             The folder has no room for it, or is gone for good; where it is instead.
         """
-        formats = self.config.export.formats
+        formats, facts = self.config.export.formats, self.facts
+        if model.ambient is not None:
+            facts = facts | {"ambient": " ".join(f"{x:.6g}" for x in model.ambient.ravel())}
+            if self.config.latent.ambient.export == "drop":
+                model = replace(model, ambient=None)
         try:
             with self.folder.staged() as stage:
-                files = export_model(model, stage, formats=formats, extras=self.facts)
+                files = export_model(model, stage, formats=formats, extras=facts)
         except OutputError as error:
             spare = Path(tempfile.mkdtemp(prefix="mi-simplify-"))
-            export_model(model, spare, formats=formats, extras=self.facts)
+            export_model(model, spare, formats=formats, extras=facts)
             raise OutputError(f"{error}; the model is in {spare} instead") from None
         return self.folder.path / next(iter(files.values())).name

@@ -10,5 +10,6 @@ from .quantities import without as without
 from .reference import json_schema as json_schema
 from .reference import markdown as markdown
 from .schema import Config as Config
+from .section import code_of as code_of
 
-__all__ = ["PRESETS", "SAMPLE_PREFIX", "Config", "dump", "json_schema", "load_config", "markdown", "without"]
+__all__ = ["PRESETS", "SAMPLE_PREFIX", "Config", "code_of", "dump", "json_schema", "load_config", "markdown", "without"]

@@ -18,8 +18,8 @@ from ..errors import ConfigError
 from .presets import PRESETS, STARTS, prefiltering
 from .problems import describe, nearest
 from .schema import Config, PathMark
-
-SAMPLE_PREFIX = "sample:"
+from .section import SAMPLE_PREFIX as SAMPLE_PREFIX
+from .section import names_no_file
 
 
 def load_config(
@@ -173,7 +173,7 @@ def _resolve_paths(layer: dict[str, Any], folder: Path) -> dict[str, Any]:
         for section in sections:
             node = node.get(section) if isinstance(node, Mapping) else None
         value = node.get(name) if isinstance(node, Mapping) else None
-        if isinstance(value, str) and value and not value.startswith(SAMPLE_PREFIX):
+        if isinstance(value, str) and value and not names_no_file(value):
             nested: Any = str(folder / Path(value).expanduser())
             for key in (name, *reversed(sections)):
                 nested = {key: nested}

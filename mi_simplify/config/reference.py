@@ -37,7 +37,7 @@ def markdown() -> str:
     lines = [
         "# Configuration keys",
         "",
-        "Generated from the schema by `mi-simplify config-schema`; edit `mi_simplify/config/schema.py` instead.",
+        "Generated from the schema by `mi-simplify config-schema`; edit `mi_simplify/config/` instead.",
         "",
         "A run is described by one YAML file. What it leaves out takes the default below; `preset` lies between",
         "the defaults and the file, `--set key=value` lies above it. Unknown keys are errors.",
@@ -98,6 +98,9 @@ def _type(schema: dict[str, Any]) -> str:
     if "enum" in schema:
         return ", ".join(f"`{v}`" for v in schema["enum"])
     if schema.get("type") == "array":
+        if "prefixItems" in schema:
+            first, n = schema["prefixItems"][0], len(schema["prefixItems"])
+            return f"{n} lists, each {_type(first)}" if first["type"] == "array" else f"list of {n} numbers"
         return f"list of {_type(schema['items'])}"
     limits = " and ".join(text.format(schema[k]) for k, text in _LIMITS.items() if k in schema)
     name = {"number": "number", "integer": "integer", "boolean": "true or false", "string": "text"}[schema["type"]]

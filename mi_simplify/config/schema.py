@@ -7,17 +7,16 @@ side 2 and centre 0), angles in degrees, colours linear.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-
-@dataclass(frozen=True)
-class PathMark:
-    """
-    Marks a key that names a file; a relative one is resolved against the file that holds the key.
-    """
+from .ambient import Ambient
+from .implicit import Implicit
+from .section import FilePath as FilePath
+from .section import PathMark as PathMark
+from .section import Section as Section
+from .section import Triple
 
 
 def _as_list(value: Any) -> Any:
@@ -37,7 +36,6 @@ def _distinct(value: tuple) -> tuple:
     return value
 
 
-FilePath = Annotated[str, Field(min_length=1), PathMark()]
 Pixels = Annotated[int, Field(ge=8, le=8192)]
 Resolutions = Annotated[tuple[Pixels, ...], BeforeValidator(_as_list), AfterValidator(_not_empty)]
 Quantity = Literal["vertices", "base_color", "opacity", "gamma", "roughness", "metallic", "normal"]
@@ -46,14 +44,6 @@ Format = Literal["glb", "obj", "usd"]
 Formats = Annotated[
     tuple[Format, ...], BeforeValidator(_as_list), AfterValidator(_not_empty), AfterValidator(_distinct)
 ]
-
-
-class Section(BaseModel):
-    """
-    Frozen, strict about types, and without unknown keys.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class Reference(Section):
@@ -143,6 +133,7 @@ class Latent(Section):
     shading: Literal["gltf", "paper"] = Field(
         "gltf", description="`gltf`: as glTF viewers shade. `paper`: Lambert plus specular, without energy exchange."
     )
+    ambient: Ambient = Ambient()
     mips: Literal["none", "derived", "custom"] = Field(
         "none",
         description="Coarser levels of the textures, read by the size of a pixel: none; `derived` by averaging, as "
@@ -154,6 +145,11 @@ class Light(Section):
     """The one point light of a view."""
 
     exponent: float = Field(1.0, ge=0, description="Directions follow cos^exponent around the camera's; 0: evenly.")
+    position: Triple | None = Field(
+        None,
+        description="Where the light stands in all views, in the normalised frame; none: it goes around with the "
+        "camera. A static light lets shadows be painted into the textures (`transport: baked`).",
+    )
     irradiance: float = Field(
         2.5, gt=0, description="Irradiance at the centre per channel; π shows a white diffuse surface with radiance 1."
     )
@@ -178,6 +174,7 @@ class Rates(Section):
     base_color: float = Field(0.001, ge=0, description="Base colour and opacity.")
     specular: float = Field(0.001, ge=0, description="Gamma, roughness and metallic.")
     normal: float = Field(0.001, ge=0, description="Normal map.")
+    ambient: float = Field(0.01, ge=0, description="Ambient light.")
 
 
 class LargeSteps(Section):
@@ -260,7 +257,8 @@ class Config(Section):
     """One job: from the asset to the exported model."""
 
     asset: FilePath = Field(
-        description="Model file, or `sample:NAME` for a procedural one such as `sample:relic` or `sample:shrub`."
+        description="Model file; `sample:NAME` for one made by code (relic, shrub, creature); `package.module:NAME` or "
+        "`file.py:NAME` for an implicit surface, which runs that Python code."
     )
     preset: Literal["fast", "balanced", "best"] | None = Field(
         None, description="Overrides that lie between the defaults and everything set here."
@@ -270,6 +268,7 @@ class Config(Section):
         None, description="Mitsuba variant; none takes the environment's `MI_SIMPLIFY_VARIANT`, else `llvm_ad_rgb`."
     )
     reference: Reference = Reference()
+    implicit: Implicit = Implicit()
     initial: Initial = Initial()
     latent: Latent = Latent()
     views: Views = Views()

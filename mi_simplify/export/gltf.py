@@ -78,8 +78,8 @@ def glb_bytes(model: Model, *, extras: dict | None = None) -> bytes:
         "bufferViews": builder.views,
         "buffers": [{"byteLength": len(builder.data)}],
     }
-    if textures.specular_color is not None:
-        document["extensionsUsed"] = ["KHR_materials_specular"]
+    if material.get("extensions"):
+        document["extensionsUsed"] = sorted(material["extensions"])
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<II", len(text), 0x4E4F534A) + text  # "JSON"
@@ -166,9 +166,17 @@ def _material(builder: _Builder, model: Model, textures: Textures) -> dict:
     }
     if model.alpha_mode == "MASK":
         material["alphaCutoff"] = float(model.alpha_cutoff)
+    extensions: dict = {}
     if textures.specular_color is not None:
         color = builder.texture("specular_color", textures.specular_color)
-        material["extensions"] = {"KHR_materials_specular": {"specularColorTexture": color}}
+        extensions["KHR_materials_specular"] = {"specularColorTexture": color}
+    if textures.emission is not None:
+        material["emissiveTexture"] = builder.texture("emission", textures.emission)
+        material["emissiveFactor"] = [min(textures.emission_strength, 1.0)] * 3
+        if textures.emission_strength > 1:
+            extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": textures.emission_strength}
+    if extensions:
+        material["extensions"] = extensions
     return material
 
 

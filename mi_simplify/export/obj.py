@@ -48,7 +48,7 @@ def write_obj(model: Model, path: str | Path) -> Path:
     images = _images(model, textures)
     for key, image in images.items():
         write_atomic(path.with_name(f"{stem}_{key}.png"), png(image))
-    write_atomic(path.with_name(f"{stem}.mtl"), _library(stem, images))
+    write_atomic(path.with_name(f"{stem}.mtl"), _library(stem, images, textures.emission_strength))
     return write_atomic(path, _mesh(model, stem))  # last: what names the others
 
 
@@ -60,6 +60,8 @@ def _images(model: Model, textures: Textures) -> dict[str, np.ndarray]:
         "roughness": textures.orm[..., 1],
         "metallic": textures.orm[..., 2],
     }
+    if textures.emission is not None:
+        images["emission"] = textures.emission
     opacity = textures.base_color[..., 3]
     if model.alpha_mode == "MASK":
         images["opacity"] = np.where(opacity >= model.alpha_cutoff * 255.0, 255, 0).astype(np.uint8)
@@ -68,11 +70,13 @@ def _images(model: Model, textures: Textures) -> dict[str, np.ndarray]:
     return images
 
 
-def _library(stem: str, images: dict[str, np.ndarray]) -> str:
+def _library(stem: str, images: dict[str, np.ndarray], emission: float) -> str:
     """The material library; factors are 1 so that readers which multiply and readers which replace agree."""
     keywords = {"base_color": "map_Kd", "normal": "norm", "roughness": "map_Pr", "metallic": "map_Pm"}
-    keywords |= {"opacity": "map_d"}
+    keywords |= {"opacity": "map_d", "emission": "map_Ke"}
     lines = [f"# mi_simplify {__version__}", f"newmtl {stem}", "Kd 1 1 1", "Pr 1", "Pm 1", "illum 2"]
+    if "emission" in images:
+        lines.append(f"Ke {emission:.6g} {emission:.6g} {emission:.6g}")
     lines += [f"{keywords[key]} {stem}_{key}.png" for key in images]
     return "\n".join(lines) + "\n"
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
+from ..latent.emission import emission_of
 from ..latent.model import Model
 
 VISIBLE_GAMMA = 1.0 / 255.0
@@ -35,12 +36,16 @@ class Textures:
         Tangent space, +Y up the image.
     specular_color : ndarray, shape (H, W, 3), uint8, or None
         sRGB, white on metal; None where no dielectric texel has gamma.
+    emission : ndarray, shape (H, W, 3), uint8, or None
+        sRGB, the model's ambient term divided by ``emission_strength``; None where it has none.
     """
 
     base_color: np.ndarray
     orm: np.ndarray
     normal: np.ndarray
     specular_color: np.ndarray | None
+    emission: np.ndarray | None = None
+    emission_strength: float = 1.0
 
 
 def encode_textures(model: Model) -> Textures:
@@ -66,11 +71,18 @@ def encode_textures(model: Model) -> Textures:
     opacity = np.ones_like(base[..., 3]) if model.alpha_mode == "OPAQUE" else base[..., 3]
     rgb, metallic, specular_color = fold_gamma(base[..., :3], specular)
     orm = np.stack([np.ones_like(metallic), specular[..., 1], metallic], axis=2)
+    emission, strength = None, 1.0
+    if model.ambient is not None:
+        radiance = emission_of(model.ambient, base, _nearest(specular[..., 2], base.shape[:2]))
+        strength = max(float(radiance.max()), 1e-6)
+        emission = to_8bit(linear_to_srgb(radiance / strength))
     return Textures(
         base_color=to_8bit(np.concatenate([linear_to_srgb(rgb), opacity[..., None]], axis=2)),
         orm=to_8bit(orm),
         normal=encode_normal(normal),
         specular_color=None if specular_color is None else to_8bit(linear_to_srgb(specular_color)),
+        emission=emission,
+        emission_strength=strength,
     )
 
 

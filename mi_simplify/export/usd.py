@@ -46,7 +46,8 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
         raise MeshError("nothing to export: the mesh has no faces")
     stem = side_file_stem(path)
     textures = encode_textures(model)
-    for key in ("base_color", "orm", "normal"):
+    emission = None if textures.emission is None else textures.emission_strength
+    for key in ("base_color", "orm", "normal", *(() if emission is None else ("emission",))):
         write_atomic(path.with_name(f"{stem}_{key}.png"), png(getattr(textures, key)))
 
     stage = Usd.Stage.CreateInMemory()
@@ -58,7 +59,7 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind("component")
     mesh = _mesh(stage, root.GetPath().AppendChild("mesh"), model)
-    material = _material(stage, root.GetPath().AppendChild("material"), model, stem)
+    material = _material(stage, root.GetPath().AppendChild("material"), model, stem, emission)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
 
     def export(temporary: Path) -> None:
@@ -94,7 +95,9 @@ def _mesh(stage: Usd.Stage, path: Sdf.Path, model: Model) -> UsdGeom.Mesh:
     return mesh
 
 
-def _material(stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str) -> UsdShade.Material:
+def _material(
+    stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str, emission: float | None
+) -> UsdShade.Material:
     """Metallic-roughness UsdPreviewSurface, one texture reader per file."""
     material = UsdShade.Material.Define(stage, path)
     surface = _shader(stage, path, "surface", "UsdPreviewSurface")
@@ -125,6 +128,10 @@ def _material(stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str) -> UsdS
     normal.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(2, 2, 2, 1))  # [0, 1] to [-1, 1]
     normal.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
     connect("normal", Sdf.ValueTypeNames.Normal3f, normal, "rgb")
+    if emission is not None:
+        glow = texture("emission", "sRGB")
+        glow.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(emission, emission, emission, 1))
+        connect("emissiveColor", Sdf.ValueTypeNames.Color3f, glow, "rgb")
     if model.alpha_mode != "OPAQUE":
         connect("opacity", Sdf.ValueTypeNames.Float, base, "a")
     if model.alpha_mode == "MASK":

@@ -4,6 +4,7 @@ One step of the fit: draw views, render both sides, carry the difference back, s
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import drjit as dr
@@ -19,6 +20,7 @@ from ..latent.textures import Textures
 from ..scenes.reference import Reference
 from ..scenes.views import Views, goniometer
 from ..upload import upload
+from .ambient import AmbientSteps
 from .laplacian import Laplacian
 from .losses import frame_loss, image_loss, srgb
 from .pool import ViewPool
@@ -61,6 +63,7 @@ class Fit:
         self.texels = TexelAdam(
             self.latent.textures, {k: v for k, v in texel_rates.items() if k in optimize}, config.latent.min_roughness
         )
+        self.ambient = AmbientSteps(model.ambient, config.latent.ambient.optimize, rates.ambient)
         self.laplacian = Laplacian(base.position_faces, base.positions, config.loss.laplacian.relative)
         self.loss = image_loss(config.loss.image)
         self._coverage = dr.opaque(mi.Float, config.loss.coverage)
@@ -71,7 +74,7 @@ class Fit:
         view = config.views
         draw = partial(
             _draw, distance=view.distance, jitter=view.jitter, fov=view.fov, exponent=view.light.exponent,
-            irradiance=view.light.irradiance,
+            irradiance=view.light.irradiance, position=view.light.position,
         )  # fmt: skip
         residual = None
         if matched:
@@ -100,13 +103,14 @@ class Fit:
         elif index % REFRESH_EVERY == 0:
             self.pool.grow(REFRESH_EVERY * config.reference.refresh, resolution)
         views, reference, residual = self.pool.batch(batch)
+        ambient = self.ambient.leaf()
         seed = dr.opaque(mi.UInt32, (config.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
 
         pose = self.shape.pose(views)
         self.renderer.move(dr.detach(pose.positions))
         surface = self.latent.evaluate(pose.positions)
         spp = max(config.optimizer.spp, min(_CAREFUL_SPP, round(config.optimizer.spp / self.caution)))
-        frame = self.renderer.render(surface, self.latent.textures, views, spp=spp, seed=seed)
+        frame = self.renderer.render(surface, self.latent.textures, views.under(ambient), spp=spp, seed=seed)
 
         background = self._background(dr.width(frame.image), seed)
         loss, grad_image = frame_loss(frame.image + residual, reference, background, self.loss, self._coverage)
@@ -120,6 +124,7 @@ class Fit:
         if texel_grad is not None:
             self.texels.step(texel_grad, dr.opaque(mi.Float, factor))
         self.shape.step(pose, factor)
+        self.ambient.step(ambient, factor)
         return loss
 
     def _laplacian_weight(self, loss: mi.Float, progress: float) -> mi.Float:
@@ -153,9 +158,8 @@ class Fit:
         for index, part in views.by_frame():
             _, surface = self._moved(part)
             with dr.suspend_grad():
-                frame = self.renderer.render(
-                    surface, self.latent.textures, part, spp=16, seed=dr.opaque(mi.UInt32, seed)
-                )
+                lit, opaque_seed = part.under(self.ambient.value), dr.opaque(mi.UInt32, seed)
+                frame = self.renderer.render(surface, self.latent.textures, lit, spp=16, seed=opaque_seed)
             out[index] = frame.image.numpy().T.reshape(len(part), *out.shape[1:])
         return out
 
@@ -197,13 +201,16 @@ class Fit:
         The current state as a model; what is not optimised is the first guess's own.
         """
         fitted = self.latent.model(*self.shape.values())
-        return self.first_guess.taking(fitted, self.config.latent.optimize)
+        taken = self.first_guess.taking(fitted, self.config.latent.optimize)
+        return replace(taken, ambient=self.ambient.written())
 
     def parameters(self) -> dict[str, np.ndarray]:
         """
         What is optimised, as copies.
         """
-        return {**self.shape.parameters(), "data": self.latent.textures.data.numpy().copy()}
+        return {
+            **self.shape.parameters(), **self.ambient.parameters(), "data": self.latent.textures.data.numpy().copy()
+        }  # fmt: skip
 
     def take(self, parameters: dict[str, np.ndarray]) -> None:
         """
@@ -211,6 +218,7 @@ class Fit:
         """
         self.shape.restart(parameters)
         self.texels.restart(parameters["data"])
+        self.ambient.restart(parameters)
 
     def retreat(self, parameters: dict[str, np.ndarray]) -> None:
         """
@@ -225,7 +233,8 @@ class Fit:
         """
         Which of what is optimised is no longer finite, None where all is well; waits for the device.
         """
-        return self.shape.trouble() or (None if self.texels.is_finite() else "textures")
+        parts = {"textures": self.texels, "ambient light": self.ambient}
+        return self.shape.trouble() or next((name for name, part in parts.items() if not part.is_finite()), None)
 
     def state(self) -> dict:
         """
@@ -233,7 +242,7 @@ class Fit:
         """
         return {
             "shape": self.shape.state(), "texels": self.texels.state(), "pool": self.pool.state(),
-            "laplacian_start": self._laplacian_start, "caution": self.caution,
+            "ambient": self.ambient.state(), "laplacian_start": self._laplacian_start, "caution": self.caution,
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
@@ -243,13 +252,14 @@ class Fit:
         self.shape.restore(state["shape"])
         self.texels.restore(state["texels"])
         self.pool.restore(state["pool"])
+        self.ambient.restore(state.get("ambient", {}))  # of a dict without entries nothing is left
         self._laplacian_start, self.caution = state["laplacian_start"], state["caution"]
 
 
-def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance) -> list[Views]:
+def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance, position) -> list[Views]:
     views = goniometer(
         n, rng, width=resolution, height=resolution, distance=distance, jitter=jitter, fov=fov,
-        light_exponent=exponent, irradiance=irradiance,
+        light_exponent=exponent, irradiance=irradiance, light_position=position,
     )  # fmt: skip
     return [views]
 

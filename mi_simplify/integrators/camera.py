@@ -25,6 +25,7 @@ class Cameras:
     n_views: int
     width: int
     height: int
+    n_rows: int = 6
 
     @property
     def n_pixels(self) -> int:
@@ -45,15 +46,23 @@ class Cameras:
             [*views.light_position, mi.Float(0)],
             [*views.light_intensity, mi.Float(0)],
         ]
+        if views.ambient is not None:
+            light = [dr.gather(mi.Float, views.ambient, k) for k in range(dr.width(views.ambient))]
+            rows += [[*light[k : k + 3], mi.Float(0)] for k in range(0, len(light), 3)]
         columns = [c + dr.zeros(mi.Float, n) for row in rows for c in row]
         packets = dr.ravel(mi.ArrayXf(columns))
-        return Cameras(packets, n, views.width, views.height)
+        return Cameras(packets, n, views.width, views.height, len(rows))
 
     def fetch(self, view: mi.UInt32, row: int, active=True) -> mi.Vector4f:
         """
-        Packet ``row`` (0 origin and tan_x, 1 right, 2 up, 3 forward, 4 light position, 5 light intensity).
+        Packet ``row`` (0 origin and tan_x, 1 right, 2 up, 3 forward, 4 light position, 5 light intensity,
+        6 and on the ambient light).
         """
-        return dr.gather(mi.Vector4f, self.packets, view * 6 + row, active)
+        return dr.gather(mi.Vector4f, self.packets, view * self.n_rows + row, active)
+
+    def ambient(self, view: mi.UInt32) -> list[mi.Color3f]:
+        """Coefficients of the ambient light; none where there is no such light."""
+        return [mi.Color3f(self.fetch(view, row).xyz) for row in range(6, self.n_rows)]
 
     def origin(self, view: mi.UInt32) -> mi.Point3f:
         """Camera position."""

@@ -37,6 +37,10 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
      * - edge_fraction
        - |float|
        - Edge samples for one camera sample. (Default: 0.25)
+     * - ambient
+       - |vector|
+       - Radiance that comes from everywhere, unshadowed: every surface adds it times its diffuse reflectance.
+         (Default: 0)
      * - hide_emitters
        - |bool|
        - Leave directly visible emitters out of the picture. (Default: true)
@@ -63,6 +67,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         self.shadows = props.get("shadows", False)
         self.layers = props.get("layers", 1)
         self.edge_fraction = props.get("edge_fraction", 0.25)
+        self.ambient = mi.ScalarColor3f(props.get("ambient", mi.ScalarVector3f(0)))
         self.hide_emitters = props.get("hide_emitters", True)
         if self.layers < 1:
             raise UserError(f"direct_edge: layers is {self.layers}, expected at least 1")
@@ -95,10 +100,20 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             lit &= ds.pdf != 0
             value = bsdf.eval(ctx, si, si.to_local(ds.d), lit)
             radiance += dr.select(lit, through * value * weight, 0)
+            if dr.any(self.ambient != 0):
+                radiance += self._ambient(bsdf, si, through, alive)
             through *= dr.select(alive, bsdf.eval_null_transmission(si, alive), 1)
             alive &= dr.max(dr.detach(through)) > 1e-4
         coverage = 1 - dr.mean(through)
         return radiance, valid, [coverage], meets_edge
+
+    def _ambient(self, bsdf, si, through, active):
+        """
+        What a surface shows of the ambient light.
+        """
+        opacity = 1 - bsdf.eval_null_transmission(si, active)
+        value = bsdf.eval_diffuse_reflectance(si, active) * mi.Spectrum(*self.ambient) * opacity
+        return dr.select(active, through * value, 0)
 
     @staticmethod
     def _behind(scene, ray, si, active):

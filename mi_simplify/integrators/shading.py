@@ -4,10 +4,13 @@ Direct light of one point light on the latent surface: what the latent renderer 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 import mitsuba as mi
 
 from ..bsdfs import microfacet
+from ..latent.ambient import ambient_radiance
 from ..latent.surface import Surface
 from ..latent.textures import Footprint, Texels, Textures
 from .gbuffer import Fragment, Hits, fragment
@@ -39,10 +42,16 @@ def mapped_normal(hit: Fragment, normal: mi.Vector3f, wi: mi.Vector3f) -> mi.Vec
 
 
 def shade(
-    hit: Fragment, texels: Texels, direction: mi.Vector3f, light_position, light_intensity, form: str = "gltf"
+    hit: Fragment,
+    texels: Texels,
+    direction: mi.Vector3f,
+    light_position,
+    light_intensity,
+    form: str = "gltf",
+    ambient: Sequence[mi.Color3f] = (),
 ) -> mi.Vector4f:
     """
-    Premultiplied radiance and coverage of a fragment under one point light, no shadows.
+    Premultiplied radiance and coverage of a fragment under one point light and an ambient one, no shadows.
 
     Parameters
     ----------
@@ -50,6 +59,8 @@ def shade(
         Of the camera ray.
     light_position : mi.Point3f
     light_intensity : mi.Color3f
+    ambient : sequence of mi.Color3f
+        Coefficients, see :mod:`..latent.ambient`.
 
     Returns
     -------
@@ -64,7 +75,10 @@ def shade(
     value = microfacet.evaluate(
         texels.base_color, texels.gamma, texels.roughness, texels.metallic, n, wi, wo, form
     )  # fmt: skip
-    radiance = value * mi.Color3f(light_intensity) * inv_d2 * texels.opacity
+    radiance = value * mi.Color3f(light_intensity) * inv_d2
+    if ambient:
+        radiance += ambient_radiance(ambient, texels, n, wi)
+    radiance *= texels.opacity
     out = mi.Vector4f(radiance.x, radiance.y, radiance.z, texels.opacity)
     return dr.select(hit.active, out, 0)
 
@@ -100,4 +114,5 @@ def shade_hits(
     light, intensity = rays.cameras.fetch(view, 4).xyz, rays.cameras.fetch(view, 5).xyz
     if hits.lit is not None:
         intensity = dr.select(hits.lit, intensity, 0)
-    return shade(hit, texels, direction, light, intensity, form), footprint
+    ambient = rays.cameras.ambient(view)
+    return shade(hit, texels, direction, light, intensity, form, ambient), footprint

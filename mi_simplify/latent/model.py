@@ -80,6 +80,8 @@ class Model:
     mips : tuple of dict
         Coarser levels of the textures where they are the model's own and not means of the finest: ``base_color``,
         ``specular`` and ``normal``, each half as large as the one before.
+    ambient : ndarray, shape (1, 3), float32, optional
+        Colour of the light from everywhere that it was fitted under, see :mod:`.ambient`.
     """
 
     mesh: Mesh
@@ -90,6 +92,7 @@ class Model:
     alpha_cutoff: float = 0.5
     name: str = "model"
     mips: tuple[dict[str, np.ndarray], ...] = ()
+    ambient: np.ndarray | None = None
 
     @property
     def n_triangles(self) -> int:
@@ -144,7 +147,7 @@ class Model:
             material=self.material,
             name=self.name,
         )
-        return Asset((part,), (Instance(0, name=self.name),), name=self.name)
+        return Asset((part,), (Instance(0, name=self.name),), name=self.name, ambient=self.ambient)
 
 
 #: Which quantities the channels of the textures are.

@@ -111,6 +111,8 @@ class Asset:
     source: str = ""
     notes: tuple[str, ...] = ()
     """What the reader left out or repaired, one line each, for the log and the report."""
+    ambient: np.ndarray | None = None
+    """Of a fitted model: the light from everywhere that belongs to it, shape (1, 3), see :mod:`..latent.ambient`."""
 
     @property
     def n_triangles(self) -> int:

@@ -7,6 +7,8 @@ gaps that a fit has to open, thin and sharp parts that it has to find.
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -20,11 +22,16 @@ _TRUNK = [
 ]  # fmt: skip
 _TRUNK_RADII = [0.2, 0.165, 0.135, 0.11, 0.09, 0.078, 0.066, 0.055]
 
-#: A cubic Bézier curve of the tusk, as cones that get thinner.
-_t = np.linspace(0, 1, 7)[:, None]
-_TUSK_CURVE = [(0.84, 0.2, 0.15), (1.04, -0.2, 0.3), (1.42, -0.32, 0.32), (1.64, 0.06, 0.17)]
-_TUSK = sum(c * np.array(p) for c, p in zip(
-    ((1 - _t) ** 3, 3 * _t * (1 - _t) ** 2, 3 * _t**2 * (1 - _t), _t**3), _TUSK_CURVE, strict=True))  # fmt: skip
+
+
+def _bezier(n: int, *p) -> np.ndarray:
+    """Points on a cubic Bézier curve, shape (n, 3)."""
+    t = np.linspace(0, 1, n)
+    weights = np.stack([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3], axis=1)
+    return weights @ np.array(p)
+
+
+_TUSK = _bezier(7, (0.84, 0.2, 0.15), (1.04, -0.2, 0.3), (1.42, -0.32, 0.32), (1.64, 0.06, 0.17))
 _TUSK_RADII = [0.074, 0.072, 0.066, 0.056, 0.042, 0.026, 0.008]
 _TAIL = [(-0.86, 0.28, 0.0), (-1.02, 0.08, 0.0), (-1.06, -0.2, 0.03), (-1.03, -0.42, 0.05)]
 
@@ -137,9 +144,10 @@ def material(p: mi.Point3f) -> Surfel:
     return out
 
 
-def creature() -> Implicit:
+def creature(**changes: Any) -> Implicit:
     """
-    The sample.
+    The sample; ``changes`` replace fields of it.
     """
     bounds = np.array([[-1.2, -1.12, -0.95], [1.75, 1.05, 0.95]])
-    return Implicit(distance, material, bounds, ambient=(0.06, 0.07, 0.1), name="creature")
+    fields = {"material": material, "bounds": bounds, "ambient": (0.06, 0.07, 0.1), "name": "creature"}
+    return Implicit(distance, **{**fields, **changes})

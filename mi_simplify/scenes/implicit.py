@@ -7,7 +7,6 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import logging
-import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,16 +19,16 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..config.section import CODE_NAME
 from ..errors import AssetError
 from ..upload import upload
 
 log = logging.getLogger("mi_simplify")
 
-#: ``package.module:name`` or ``path/file.py:name``.
-CODE_NAME = re.compile(r"^(?P<module>[A-Za-z_]\w*(\.[A-Za-z_]\w*)*|.+\.py):(?P<name>[A-Za-z_]\w*)$")
-
 #: Steeper functions are no distances in any sense that could be traced in reasonable time.
 STEEPEST = 8.0
+
+_UNNAMED = "implicit surface"
 
 #: Largest coordinate that is searched for a surface without bounds of its own.
 _FARTHEST = 2.0**20
@@ -77,7 +76,7 @@ class Implicit:
     material: Callable[[mi.Point3f], Surfel] = grey
     bounds: Any = None
     ambient: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    name: str = "implicit"
+    name: str = _UNNAMED
 
     def at(self, points: np.ndarray) -> np.ndarray:
         """
@@ -317,4 +316,6 @@ def implicit_named(text: str, **settings: Any) -> Implicit:
     if isinstance(settings.get("material"), str):
         settings["material"] = code_named(settings["material"], "material")
     given = {name: value for name, value in settings.items() if value is not None}
-    return replace(found, **{"name": text.rpartition(":")[2], **given})
+    if found.name == _UNNAMED:
+        given["name"] = text.rpartition(":")[2]
+    return replace(found, **given)

@@ -62,7 +62,22 @@ class _Scene:
                     self.instances.append(Instance(part, to_world @ placement, name))
         if self.file.json.get("animations"):
             self.file.resources.note("animations were left out; the model stands as its nodes do")
-        return Asset(tuple(self.parts), tuple(self.instances), notes=tuple(self.notes))
+        return Asset(tuple(self.parts), tuple(self.instances), notes=tuple(self.notes), ambient=self._ambient())
+
+    def _ambient(self) -> np.ndarray | None:
+        """The light from everywhere that a model of ours was fitted under."""
+        extras = self.file.json.get("asset", {}).get("extras")
+        value = extras.get("ambient") if isinstance(extras, dict) else None
+        if value is None:
+            return None
+        try:
+            ambient = np.float32(value.split()).reshape(-1, 3)
+        except (ValueError, AttributeError):
+            ambient = np.zeros(0, np.float32)
+        if ambient.shape != (1, 3) or not np.isfinite(ambient).all():
+            self.notes.append("the ambient light in its extras makes no sense and was left out")
+            return None
+        return ambient
 
     def _world(self) -> dict[int, np.ndarray]:
         """Transforms of all nodes of the scene, by node, parents before children."""

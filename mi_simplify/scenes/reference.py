@@ -178,6 +178,7 @@ def make_reference(
     environment: str | None = None,
     lights: bool = False,
     form: str = "gltf",
+    ambient: np.ndarray | None = None,
 ) -> Reference:
     """
     The reference renderer of an asset; that of a Mitsuba scene renders the scene itself.
@@ -199,13 +200,18 @@ def make_reference(
         Whether a Mitsuba scene keeps its own lights, see :func:`scene_reference`.
     form : {'gltf', 'paper'}
         Mixing of the lobes in ``ggx_gamma``.
+    ambient : ndarray, shape (1, 3), optional
+        Light from everywhere; only with 'direct', as in the latent model.
     """
     if isinstance(asset, SceneAsset):
         reference = scene_reference(asset.file, transport=transport, spp=spp, max_depth=max_depth, lights=lights)
     else:
         transparent = any(p.material.alpha_mode != "OPAQUE" for p in asset.parts)
         shapes = dict(asset_shapes(asset, form=form))
-        reference = MitsubaReference(shapes, _integrator(transport, max_depth, transparent), spp)
+        integrator = _integrator(transport, max_depth, transparent)
+        if ambient is not None:
+            integrator["ambient"] = mi.ScalarVector3f(*(float(x) for x in ambient[0]))
+        reference = MitsubaReference(shapes, integrator, spp)
     own = [name for name, o in reference.shapes.items() if isinstance(o, mi.Emitter) and o.is_environment()]
     if own and (sky > 0 or environment is not None):
         raise UserError(f"{asset.source}: a scene with an environment of its own takes no other; leave one out")

@@ -4,7 +4,7 @@ Where things are looked at from, and lit from: B cameras and B point lights as o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -34,6 +34,9 @@ class Views:
         Film size [pixels].
     frame : mi.Float, width B
         Time of the animation frame; 0 for what does not move.
+    ambient : mi.Float, optional
+        Light besides the point lights, the same in all views, flat: (r, g, b) of an ambient term, see
+        :mod:`..latent.ambient`. Only the latent renderer looks at it, and only :meth:`under` sets it.
     """
 
     origin: mi.Point3f
@@ -46,6 +49,7 @@ class Views:
     frame: mi.Float
     width: int
     height: int
+    ambient: mi.Float | None = None
 
     def __len__(self) -> int:
         return dr.width(self.tan_x)
@@ -98,6 +102,12 @@ class Views:
         groups = [np.flatnonzero(frames == frame) for frame in np.unique(frames)]
         return [(group, self.take(group)) for group in groups]
 
+    def under(self, ambient: mi.Float | None) -> Views:
+        """
+        The same views with an ambient light; differentiable in it.
+        """
+        return replace(self, ambient=ambient)
+
     def lit_by(self, factor: float) -> Views:
         """
         The same views with their lights this many times as bright.
@@ -105,6 +115,17 @@ class Views:
         arrays = self.arrays()
         arrays["light_intensity"] = arrays["light_intensity"] * np.float32(factor)
         return Views.from_arrays(arrays, self.width, self.height)
+
+    def lit_from(self, position, target, irradiance: float) -> Views:
+        """
+        The same cameras under a light at one place, shape (3,), that sends ``irradiance`` to ``target``, shape (3,).
+        """
+        position, target = np.asarray(position, np.float64), np.asarray(target, np.float64)
+        light = {
+            "light_position": np.broadcast_to(position, (len(self), 3)),
+            "light_intensity": np.full((len(self), 3), irradiance * np.sum((position - target) ** 2)),
+        }
+        return Views.from_arrays(self.arrays() | light, self.width, self.height)
 
     def resized(self, width: int, height: int) -> Views:
         """
@@ -201,6 +222,7 @@ def goniometer(
     fov: float = 45.0,
     light_exponent: float = 1.0,
     irradiance: float = np.pi,
+    light_position=None,
 ) -> Views:
     """
     Random views of the virtual photo-goniometer (Hasselgren et al. 2021, Sect. 3).
@@ -219,6 +241,8 @@ def goniometer(
         Half side of the box that the target is drawn from.
     light_exponent : float
         Of the cosine lobe; 0 is uniform over the hemisphere.
+    light_position : array_like, shape (3,), optional
+        Where the light of all views stands instead; its irradiance is that at ``center``.
     """
     if n < 1:
         raise UserError(f"a batch needs at least one view, got {n}")
@@ -226,10 +250,11 @@ def goniometer(
     direction = _unit(rng, n)
     target = center + rng.uniform(-jitter, jitter, (n, 3))
     light = center + distance * _cosine_lobe(rng, direction, light_exponent)
-    return look_at(
+    views = look_at(
         center + distance * direction, target, light,
         width=width, height=height, fov=fov, irradiance=irradiance, up=_unit(rng, n),
     )  # fmt: skip
+    return views if light_position is None else views.lit_from(light_position, center, irradiance)
 
 
 def held_out_views(

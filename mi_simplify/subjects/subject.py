@@ -5,14 +5,18 @@ The subject of a job: a model file here, and what stands in for one in the modul
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from ..config import SAMPLE_PREFIX, Config
+from ..config.section import CODE_NAME
 from ..errors import AssetError
 from ..frame import Frame
 from ..initial import first_guess
 from ..latent.model import Model
+from ..progress import ProgressCallback
 from ..report.evaluate import Comparison, compare_assets
 from ..scenes.asset import Asset
 from ..scenes.load import load_asset
@@ -30,27 +34,36 @@ class Subject:
 
     Parameters
     ----------
+    config : Config
     geometry : Asset
         What the first guess is made from, in the units of the input; its box is that of the subject.
+
+    Attributes
+    ----------
+    config : Config
+        What was asked for, completed by what the subject knows of itself.
+    frame : Frame
+        The normalised frame, in which it is fitted.
     """
 
-    def __init__(self, geometry: Asset):
-        self.geometry = geometry
+    def __init__(self, config: Config, geometry: Asset):
+        self.config, self.geometry = config, geometry
+        self.frame = Frame.around(geometry.bounds)
 
     @property
     def shown(self) -> Asset | None:
         """What stands for the subject where reports show it in 3D; None where there is nothing to show."""
         return self.geometry
 
-    def guess(self, config: Config, frame: Frame) -> tuple[Model, list[str]]:
+    def guess(self) -> tuple[Model, list[str]]:
         """
-        The first guess that the configuration asks for, in ``frame``, and notes on it.
+        The first guess that the configuration asks for, in the normalised frame, and notes on it.
         """
-        initial = config.initial
+        initial, frame = self.config.initial, self.frame
         asset = frame.normalised(self.geometry)
         if initial.kind == "decimate" and isinstance(asset, SceneAsset):
             asset.require_triangles()
-        return first_guess(
+        model, notes = first_guess(
             asset,
             triangles=initial.triangles,
             atlas_size=initial.atlas_size,
@@ -58,29 +71,47 @@ class Subject:
             kind=initial.kind,
             init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh, purpose="low-poly mesh")),
             keep_uv=initial.keep_uv,
-            repair=initial.repair and "vertices" in config.latent.optimize,
-            seed=config.seed,
+            repair=initial.repair and "vertices" in self.config.latent.optimize,
+            seed=self.config.seed,
             crease_angle=initial.crease_angle,
         )
+        return replace(model, ambient=self.ambient), notes
 
-    def reference(self, config: Config, frame: Frame) -> Reference:
-        """
-        The renderer of the target images that the configuration asks for, of views in ``frame``.
-        """
-        return reference_for(frame.normalised(self.geometry), config)
+    @property
+    def ambient(self) -> np.ndarray | None:
+        """Where the ambient light of the latent model starts, shape (1, 3); None where it has none."""
+        ambient = self.config.latent.ambient
+        return np.float32([ambient.color]) if ambient.kind == "color" else None
 
-    def judge(self, candidates: Mapping[str, Asset], **settings: Any) -> Comparison:
+    def reference(self) -> Reference:
         """
-        Compare candidates, in the units of the input, with the subject on views that no fit has seen.
+        The renderer of the target images that the configuration asks for, of views in the normalised frame.
+        """
+        return reference_for(self.frame.normalised(self.geometry), self.config)
+
+    def judge(
+        self,
+        candidates: Mapping[str, Asset],
+        *,
+        n_views: int = 8,
+        resolution: int = 256,
+        spp: int = 64,
+        seed: int = 0,
+        progress: ProgressCallback | None = None,
+    ) -> Comparison:
+        """
+        Compare candidates with the subject on views that no fit has seen.
 
         Parameters
         ----------
         candidates : mapping of str to Asset
-        settings
-            ``n_views``, ``resolution``, ``spp``, ``seed`` and ``progress`` of
-            :func:`mi_simplify.report.compare_assets`.
+            In the units of the input.
+        n_views, resolution, spp, seed, progress
+            As in :func:`mi_simplify.report.compare_assets`.
         """
-        return compare_assets(self.geometry, candidates, **settings)
+        return compare_assets(
+            self.geometry, candidates, n_views=n_views, resolution=resolution, spp=spp, seed=seed, progress=progress
+        )
 
 
 def open_asset(name: str) -> Asset:
@@ -92,16 +123,21 @@ def open_asset(name: str) -> Asset:
     return load_asset(name)
 
 
-def open_subject(name: str) -> Subject:
+def open_subject(config: Config) -> Subject:
     """
-    The subject that a name stands for.
+    The subject that ``config.asset`` names.
 
-    Parameters
-    ----------
-    name : str
-        As ``asset`` in a configuration.
+    Raises
+    ------
+    UserError
+        It is not there, cannot be read, or cannot be what the configuration wants it to be.
     """
-    return Subject(open_asset(name))
+    name = config.asset
+    if name.removeprefix(SAMPLE_PREFIX) == "creature" or CODE_NAME.match(name):
+        from .implicit import ImplicitSubject
+
+        return ImplicitSubject(config)
+    return Subject(config, open_asset(name))
 
 
 def reference_for(asset: Asset, config: Config) -> Reference:

@@ -1,0 +1,26 @@
+"""
+The section ``latent.ambient``: light besides the one point light of a view.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from .section import Section, Triple
+
+
+class Ambient(Section):
+    """Light from everywhere, besides the one point light of a view."""
+
+    kind: Literal["auto", "none", "color"] = Field(
+        "auto",
+        description="`color`: a term `color · base colour`, as many renderers have. `auto`: what the asset is known to "
+        "be lit by, which is then not optimised; none for a model file.",
+    )
+    color: Triple = Field((0.1, 0.1, 0.1), description="Where `color` starts.")
+    optimize: bool = Field(True, description="Find it together with the model; off: it stays as it starts.")
+    export: Literal["fold", "drop"] = Field(
+        "fold", description="`fold`: write the term as emission, so that every viewer shows it. `drop`: leave it out."
+    )

@@ -1,0 +1,59 @@
+"""
+What all sections of the configuration share: their strictness, and the types that several of them use.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+#: ``package.module:name`` or ``path/file.py:name``: code of the user's own.
+CODE_NAME = re.compile(r"^(?P<module>[A-Za-z_]\w*(\.[A-Za-z_]\w*)*|.+\.py):(?P<name>[A-Za-z_]\w*)$")
+
+SAMPLE_PREFIX = "sample:"
+
+
+@dataclass(frozen=True)
+class PathMark:
+    """
+    Marks a key that names a file; a relative one is resolved against the file that holds the key.
+    """
+
+
+def names_no_file(text: str) -> bool:
+    """
+    Whether an asset's name stands for a sample or for something in an importable module, not for a file.
+    """
+    match = CODE_NAME.match(text)
+    return text.startswith(SAMPLE_PREFIX) or (match is not None and not match["module"].endswith(".py"))
+
+
+def code_of(text: str) -> str:
+    """
+    The name in ``module:name``; empty where an asset's name is none of that kind.
+    """
+    match = CODE_NAME.match(text)
+    return "" if match is None or text.startswith(SAMPLE_PREFIX) else match["name"]
+
+
+FilePath = Annotated[str, Field(min_length=1), PathMark()]
+
+
+def _as_tuple(value: object) -> object:
+    """YAML's lists are Python's lists; nested ones, too."""
+    return tuple(_as_tuple(x) for x in value) if isinstance(value, list | tuple) else value
+
+
+Triple = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
+Box = Annotated[tuple[tuple[float, float, float], tuple[float, float, float]], BeforeValidator(_as_tuple)]
+
+
+class Section(BaseModel):
+    """
+    Frozen, strict about types, and without unknown keys.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
