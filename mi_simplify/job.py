@@ -234,7 +234,8 @@ def evaluate_job(
     **settings: int,
 ) -> dict:
     """
-    Judge files against an asset, or that of a YAML file under its light; see :func:`mi_simplify.report.compare_assets` for the settings.
+    Judge files against an asset, or that of a YAML file in its own light; see :func:`mi_simplify.report.compare_assets`
+    for the settings.
 
     Returns
     -------

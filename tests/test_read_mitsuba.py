@@ -11,7 +11,7 @@ from tiny_models import corner_pixels, png
 
 from mi_simplify import cli
 from mi_simplify.errors import AssetError, UserError
-from mi_simplify.job import Frame
+from mi_simplify.frame import Frame
 from mi_simplify.scenes.asset import Asset
 from mi_simplify.scenes.images import srgb_to_linear
 from mi_simplify.scenes.load import load_asset

@@ -60,7 +60,8 @@ class AmbientSteps:
         """
         The light in NumPy, shape (K, 3), float32.
         """
-        return None if self._shape is None else self.value.numpy().reshape(self._shape).copy()
+        value = self.value
+        return None if value is None else value.numpy().reshape(self._shape).copy()
 
     def parameters(self) -> dict[str, np.ndarray]:
         """What is optimised, as copies."""

@@ -233,8 +233,8 @@ class Fit:
         """
         Which of what is optimised is no longer finite, None where all is well; waits for the device.
         """
-        parts = {"textures": self.texels, "ambient light": self.ambient}
-        return self.shape.trouble() or next((name for name, part in parts.items() if not part.is_finite()), None)
+        trouble = self.shape.trouble() or (None if self.texels.is_finite() else "textures")
+        return trouble or (None if self.ambient.is_finite() else "ambient light")
 
     def state(self) -> dict:
         """

@@ -54,7 +54,7 @@ def isosurface(surface: Implicit, resolution: int = 192) -> Asset:
     n = len(positions)
     color = np.broadcast_to(found.base_color.numpy().T, (n, 3))
     scalars = [float(np.mean(x.numpy())) for x in (found.roughness, found.metallic)]
-    material = Material(surface.name, np.ones((1, 1, 4), np.float32), np.float32([[[0, *scalars]]]))
+    material = Material(surface.name, np.ones((1, 1, 4), np.float32), np.array([[[0, *scalars]]], np.float32))
     colors = np.concatenate([color, np.ones((n, 1))], axis=1).astype(np.float32)
     part = Part(positions, faces, normals.astype(np.float32), None, colors, material, surface.name)
     return Asset((part,), (Instance(0, name=surface.name),), name=surface.name)
@@ -79,7 +79,7 @@ def marching_cubes(grid: np.ndarray, low: np.ndarray, cell, name: str) -> tuple[
         raise RuntimeUnavailable(f"isosurfaces need scikit-image: pip install scikit-image ({error})") from error
     if not (grid.min() < 0 < grid.max()):
         raise AssetError(f"{name}: nothing of it is as large as a cell of the grid; raise implicit.resolution")
-    vertices, faces, _, _ = lewiner(grid, 0.0, spacing=tuple(cell), gradient_direction="ascent")
+    vertices, faces, _, _ = lewiner(grid, 0.0, spacing=tuple(cell), gradient_direction="descent")
     return np.asarray(vertices, np.float64) + low, np.asarray(faces, np.int64)
 
 

@@ -37,12 +37,13 @@ _FARTHEST = 2.0**20
 @dataclass
 class Surfel:
     """
-    The material at some points of an implicit surface, what ``Implicit.material`` returns; linear colours.
+    The material at some points of an implicit surface, what ``Implicit.material`` returns: a linear colour and two
+    ``mi.Float`` or numbers.
     """
 
     base_color: mi.Color3f
-    roughness: mi.Float | float = 0.5
-    metallic: mi.Float | float = 0.0
+    roughness: Any = 0.5
+    metallic: Any = 0.0
 
 
 def grey(p) -> Surfel:
@@ -152,9 +153,9 @@ class Implicit:
         d = _directions(np.random.default_rng(0), 512)
         radius = 1.0
         while radius <= _FARTHEST:
-            # A surface that ends is far away from a sphere of twice its size, and farther from one of four times.
+            # A surface that ends is some way from a sphere of twice its size, and farther from one of four times.
             near, far = self.at(d * radius), self.at(2 * radius * d)
-            if near.min() > 0.05 * radius and (far - near > 0.25 * radius).all():
+            if near.min() > 0.02 * radius and (far > 1.1 * near).all():
                 return radius
             radius *= 2
         raise AssetError(
@@ -189,7 +190,7 @@ class Implicit:
         rng = np.random.default_rng(0)
         box = self.box
         size = float((box[1] - box[0]).max())
-        points = rng.uniform(*box, (_SAMPLES, 3))
+        points = rng.uniform(box[0], box[1], (_SAMPLES, 3))
         here = self.at(points)
         close = points[np.argsort(np.abs(here))[: _SAMPLES // 8]]
         close = close + 0.01 * size * rng.normal(size=close.shape)  # thin parts fall between the points
@@ -198,7 +199,7 @@ class Implicit:
         if not len(inside):
             raise AssetError(f"{self.name}: nowhere is the function negative: nothing is inside the surface")
         near = np.abs(here) < 0.02 * size
-        step = 1e-3 * size * _directions(rng, np.count_nonzero(near))
+        step = 1e-3 * size * _directions(rng, int(np.count_nonzero(near)))
         slope = np.abs(here[near] - self.at(points[near] + step)) / (1e-3 * size) if near.any() else np.zeros(1)
         if np.quantile(slope, 0.9) < 0.02:
             raise AssetError(

@@ -71,9 +71,9 @@ class _Scene:
         if value is None:
             return None
         try:
-            ambient = np.float32(value.split()).reshape(-1, 3)
+            ambient = np.array(value.split(), np.float32).reshape(-1, 3)
         except (ValueError, AttributeError):
-            ambient = np.zeros(0, np.float32)
+            ambient = np.zeros((0, 3), np.float32)
         if ambient.shape != (1, 3) or not np.isfinite(ambient).all():
             self.notes.append("the ambient light in its extras makes no sense and was left out")
             return None

@@ -24,7 +24,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-Vector = Sequence[float]
+Vector = Sequence[float] | np.ndarray
 
 
 def _v(v: Vector) -> mi.Vector3f:
@@ -93,19 +93,19 @@ def cone(p, a: Vector, b: Vector, radius_a: float, radius_b: float):
     """
     Two balls and the cone that touches both, a capsule where their radii are equal; exact.
     """
-    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    length = float(np.linalg.norm(b - a))
-    axis, sine = (b - a) / length, (radius_a - radius_b) / length
+    start, way = np.asarray(a, np.float64), np.subtract(b, a)
+    length = float(np.linalg.norm(way))
+    axis, sine = way / length, (radius_a - radius_b) / length
     cosine = float(np.sqrt(max(1 - sine**2, 0.0)))
-    q = p - _v(a)
+    q = p - _v(start)
     along = dr.dot(q, _v(axis))
     across = dr.sqrt(dr.maximum(dr.squared_norm(q) - dr.square(along), 1e-20))
     # The nearest ball has its centre where the normal of the cone through p meets the axis.
-    t = dr.clip(along + across * (sine / max(cosine, 1e-6)), 0, length)
+    t = dr.clip(along - across * (sine / max(cosine, 1e-6)), 0, length)
     return _norm(mi.Vector2f(across, along - t)) - dr.lerp(mi.Float(radius_a), radius_b, t / length)
 
 
-def tube(p, points: Sequence[Vector], radii: Sequence[float], k: float = 0.0):
+def tube(p, points: Sequence[Vector] | np.ndarray, radii: Sequence[float], k: float = 0.0):
     """
     Cones along a polyline, joined softly by ``k``; exact where that is 0.
     """

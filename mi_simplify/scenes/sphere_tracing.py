@@ -120,7 +120,7 @@ class SphereTraced:
 
     def _march(self, ray: mi.Ray3f, start, end, cone) -> tuple[mi.Float, mi.Bool]:
         """
-        Sphere tracing (Hart 1996): steps as long as the distance, until a tenth of a pixel is left of it.
+        Sphere tracing (Hart 1996): steps as long as the distance, until a hundredth of a pixel is left of it.
         """
         distance, pace, least = self.surface.distance, self._pace, mi.Float(2e-6 * self._size)
         dr.make_opaque(least)
@@ -130,7 +130,7 @@ class SphereTraced:
 
         def step(t, hit, n, active):
             d = distance(mi.Point3f(ray(t)))
-            close = d < dr.maximum(least, 0.1 * cone * t)
+            close = d < dr.maximum(least, 0.01 * cone * t)
             hit |= active & close
             t = dr.select(active & ~close, t + dr.maximum(d * pace, 0.5 * least), t)
             n += 1

@@ -81,7 +81,7 @@ class Subject:
     def ambient(self) -> np.ndarray | None:
         """Where the ambient light of the latent model starts, shape (1, 3); None where it has none."""
         ambient = self.config.latent.ambient
-        return np.float32([ambient.color]) if ambient.kind == "color" else None
+        return np.array([ambient.color], np.float32) if ambient.kind == "color" else None
 
     def reference(self) -> Reference:
         """
