@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..config import SAMPLE_PREFIX, Config
-from ..config.section import CODE_NAME
+from ..config import SAMPLE_PREFIX, Config, code_of
 from ..errors import AssetError
 from ..frame import Frame
 from ..initial import first_guess
@@ -133,7 +132,7 @@ def open_subject(config: Config) -> Subject:
         It is not there, cannot be read, or cannot be what the configuration wants it to be.
     """
     name = config.asset
-    if name.removeprefix(SAMPLE_PREFIX) == "creature" or CODE_NAME.match(name):
+    if name == f"{SAMPLE_PREFIX}creature" or code_of(name):
         from .implicit import ImplicitSubject
 
         return ImplicitSubject(config)
