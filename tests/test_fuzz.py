@@ -1,9 +1,12 @@
 """A slice of the fuzzer, and that it sees what it looks for; `make fuzz` does twenty thousand inputs."""
 
+import importlib
 import re
 import subprocess
 import sys
 from pathlib import Path
+
+from mi_simplify.scenes import read_usd
 
 FUZZ = Path(__file__).parent / "fuzz" / "fuzz.py"
 
@@ -14,6 +17,19 @@ def test_ten_seconds_of_damaged_files(tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
     counted = re.search(r"^(\d+) inputs in .* 0 findings", done.stdout, re.MULTILINE)
     assert counted and int(counted[1]) >= 100, done.stdout
+
+
+def test_what_is_damaged_was_good_before(tmp_path, monkeypatch):
+    """A seed that is refused as it is would fuzz nothing but the refusal."""
+    monkeypatch.syspath_prepend(str(FUZZ.parent))
+    monkeypatch.setattr(read_usd, "rehearse", lambda path: None)  # half a second each
+    fuzz = importlib.import_module("fuzz")
+    for k, seed in enumerate(fuzz.seeds()):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        for name, data in seed.files.items():
+            (folder / name).write_bytes(data)
+        fuzz.read(folder / seed.entry)
 
 
 BROKEN = """
@@ -40,7 +56,7 @@ def read(entry):
     if fuzz.mode == "hang":
         time.sleep(60)
     if fuzz.mode == "memory":
-        fuzz.held = np.ones(3 << 27)
+        fuzz.held = np.ones(1 << 27)
         time.sleep(0.5)
     raise UserError("one line")
 
@@ -48,6 +64,7 @@ fuzz.read = read
 for fuzz.mode, inputs in (("", 12), ("hang", 1), ("memory", 1)):
     sys.argv = ["fuzz.py", "--inputs", str(inputs), "--findings", sys.argv[-1]]
     count, fuzz.LONGEST = 0, 1.0 if fuzz.mode == "hang" else 10.0
+    fuzz.LARGEST = 1 << 29 if fuzz.mode == "memory" else 2 << 30
     fuzz.main()
 """
 
@@ -59,5 +76,5 @@ def test_the_fuzzer_finds_what_it_looks_for(tmp_path):
     assert found[0].startswith("KeyError") and found[1].startswith("the message is not one line"), found
     assert found[2].startswith("RuntimeWarning") and found[3].startswith("the process died (exit code -6)"), found
     assert found[4].startswith("KeyError")  # a new worker goes on, and counts anew
-    assert found[5] == "longer than 1 s" and re.search("more than 2 GB|3 GB of memory", found[6]), found
+    assert found[5] == "longer than 1 s" and re.search("more than 0.5 GB|1 GB of memory", found[6]), found
     assert sorted(int(path.parent.name) for path in tmp_path.glob("*/finding.txt")) == [0, 2, 4, 6, 8, 11]

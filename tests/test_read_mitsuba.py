@@ -111,6 +111,15 @@ def test_meshes_keep_their_triangles_and_flat_ones_their_facets(scene, tmp_path)
             assert agree.min() > 0.998
 
 
+def test_a_mesh_without_triangles_is_one_clear_line(scene, tmp_path):
+    (tmp_path / "empty.obj").write_text("v 0 0 0\nvn 0 0 1\n")
+    path = scene(shape("obj", '<string name="filename" value="empty.obj"/>', id="void"), shape("cube"))
+    with pytest.raises(
+        AssetError, match=r"scene.xml: obj 'void' \(scene.xml, line 2, col 2\) has no triangles; take it"
+    ):
+        load_asset(path)
+
+
 def test_instances_stand_where_they_are_put(scene):
     group = shape("shapegroup", shape("cube", RED), shape("sphere", scaled(0.5)), id="pair")
     place = '<shape type="instance"><ref id="pair"/><transform name="to_world">%s</transform></shape>'

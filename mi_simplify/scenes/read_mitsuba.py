@@ -175,6 +175,8 @@ class _Shapes:
             patch = SHAPES[node.plugin]().placed(to_world, flip)
             points = _points(patch)
         elif shape.is_mesh():
+            if not shape.face_count():  # any such mesh makes Dr.Jit fail at the others
+                raise AssetError(f"{self.resources.model.name}: {node} has no triangles; take it out of the scene")
             patch, points = _mesh_patch(shape)
             patch = patch.placed(np.eye(4), flip)
         else:

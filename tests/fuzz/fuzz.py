@@ -16,15 +16,19 @@ import faulthandler
 import multiprocessing
 import os
 import resource
+import signal
+import subprocess
 import sys
 import tempfile
 import time
 import traceback
+import types
 import warnings
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).resolve().parent), str(Path(__file__).resolve().parents[1])]
 
+import containers  # noqa: E402
 import mutations  # noqa: E402
 import numpy as np  # noqa: E402
 from seeds import Seed, seeds  # noqa: E402
@@ -34,7 +38,7 @@ from mi_simplify.errors import UserError  # noqa: E402
 from mi_simplify.initial.cleanup import clean, merge  # noqa: E402
 from mi_simplify.initial.decimate import decimate  # noqa: E402
 from mi_simplify.memory import limited  # noqa: E402
-from mi_simplify.scenes import read_usd  # noqa: E402
+from mi_simplify.scenes import usd_layers  # noqa: E402
 from mi_simplify.scenes.load import load_asset  # noqa: E402
 
 LONGEST = 10.0  # [s] for one input
@@ -54,12 +58,14 @@ def damaged(number: int, seed: int, kinds: tuple[str, ...]) -> tuple[Seed, dict[
     alike = [s for s in known if s.kind == kind]
     chosen, other = (alike[k] for k in rng.integers(len(alike), size=2))
     data, foreign = chosen.files[chosen.target], other.files[other.target]
-    if kind == "glb" and rng.random() < 0.8:
-        data = mutations.glb(data, foreign, rng)
-    elif kind.startswith("png") and rng.random() < 0.7:
-        data = mutations.png(data, foreign, rng)
+    in_parts = {
+        "glb": containers.glb, "png": containers.png, "png-deep": containers.png, "usdc": containers.usdc,
+        "usdz": containers.usdz, "xml": containers.xml,
+    }  # fmt: skip
+    if kind in in_parts and rng.random() < 0.8:
+        data = in_parts[kind](data, foreign, rng)
     else:
-        text = kind in ("obj", "mtl", "ply", "stl", "gltf", "usda", "yaml")
+        text = kind in ("obj", "mtl", "ply", "stl", "gltf", "usda", "yaml", "xml", "xml-mesh")
         data = mutations.mutate(data, foreign, rng, text or (kind == "ply-binary" and rng.random() < 0.3))
     return chosen, {**chosen.files, chosen.target: data}
 
@@ -99,12 +105,43 @@ def outcome(entry: Path) -> str:
     return f"{peak >> 20} GB of memory" if peak << 10 > LARGEST and peak > before else verdict
 
 
+class Rehearsal:
+    """
+    Stands in for ``subprocess`` where a USD file is opened in a process of its own: a fork of one that stands ready.
+    """
+
+    TimeoutExpired = subprocess.TimeoutExpired
+
+    def __init__(self):
+        context = multiprocessing.get_context("fork")
+        self._here, there = context.Pipe()
+        self._process = context.Process(target=self._serve, args=(there,), daemon=True)
+        self._process.start()
+
+    @staticmethod
+    def _serve(asked) -> None:
+        while True:
+            path, room = asked.recv()
+            worker = os.fork()
+            if not worker:
+                signal.alarm(round(2 * LONGEST))  # when nobody waits any more
+                os._exit(usd_layers._work(path, room))
+            asked.send(os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1]))
+
+    def run(self, command: list[str], *, timeout: float, **_) -> types.SimpleNamespace:
+        """How the worker ended; USD has hung if it does not within ``LONGEST``, which the fuzzer sees."""
+        *_, path, room = command
+        self._here.send((path, int(room)))
+        return types.SimpleNamespace(returncode=self._here.recv())
+
+
 def _work(numbers: range, arguments: argparse.Namespace, current, results) -> None:
     """The loop of a worker: inputs in order, ``current`` is the one it is at."""
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    read_usd.rehearse = lambda path: None  # a process for each file; here the parsing itself is what may not fail
+    for stream in (1, 2):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+    usd_layers.subprocess = Rehearsal()
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
         for number in numbers:
             current.value = number
@@ -123,6 +160,7 @@ def run(arguments: argparse.Namespace) -> list[tuple[int, str, str]]:
     All inputs in a worker process that is replaced where it dies; returns the findings: number, kind, what is wrong.
     """
     context = multiprocessing.get_context("fork")  # nothing has started a thread yet
+    seeds()
     findings: list[tuple[int, str, str]] = []
     done: collections.Counter[tuple[str, bool]] = collections.Counter()
     begin, stop = time.monotonic(), arguments.start + arguments.inputs
@@ -154,7 +192,7 @@ def run(arguments: argparse.Namespace) -> list[tuple[int, str, str]]:
                 verdict = f"longer than {LONGEST:.0f} s"
                 break
             if _resident(worker.pid) > LARGEST:
-                verdict = "more than 2 GB"
+                verdict = f"more than {LARGEST / (1 << 30):g} GB"
                 break
         if worker.is_alive():
             worker.kill()

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import re
 import struct
-import zlib
 from collections.abc import Callable
 
 import numpy as np
@@ -156,64 +155,3 @@ def bracket(data: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 
 _BINARY: list[Mutation] = [flip, truncate, splice, cut, repeat, edge, noise]
 _TEXT: list[Mutation] = [number, number, swapped_number, word, line, line, bracket]
-
-
-def glb(data: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """
-    A GLB whose JSON or buffer is mutated, its lengths set right again.
-    """
-    (text, binary), (other_text, other_binary) = _chunks(data), _chunks(other)
-    if rng.random() < 0.7:
-        text = mutate(text, other_text, rng, text=True)
-    else:
-        binary = mutate(binary, other_binary, rng, text=False)
-    text += b" " * (-len(text) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
-
-
-def _chunks(data: bytes) -> tuple[bytes, bytes]:
-    n = struct.unpack_from("<I", data, 12)[0]
-    return data[20 : 20 + n], data[28 + n :]
-
-
-def png(data: bytes, other: bytes, rng: np.random.Generator) -> bytes:
-    """
-    A PNG with mutated chunks and true checksums; ``other`` lends it chunks.
-    """
-    chunks, foreign = _png_chunks(data), _png_chunks(other)
-    for _ in range(rng.integers(1, 4)):
-        k = int(rng.integers(len(chunks)))
-        kind, body = chunks[k]
-        match rng.integers(6):
-            case 0 if len(chunks) > 1:
-                del chunks[k]
-            case 1:
-                chunks.insert(int(rng.integers(len(chunks))), foreign[rng.integers(len(foreign))])
-            case 2 if kind == b"IDAT" and body:
-                try:
-                    body = zlib.compress(mutate(zlib.decompress(body), body, rng, text=False))
-                except zlib.error:
-                    body = mutate(body, body, rng, text=False)
-                chunks[k] = kind, body
-            case 3:
-                size = [int(2 ** rng.uniform(0, 31)) for _ in range(2)]
-                chunks[0] = b"IHDR", struct.pack(">2I", *size) + chunks[0][1][8:]
-            case 4:
-                chunks[0] = b"IHDR", edge(chunks[0][1] or b"\0", b"", rng)
-            case _:
-                chunks[k] = kind, mutate(body or b"\0", other, rng, text=False)
-    out = data[:8]
-    for kind, body in chunks:
-        out += struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-    return out
-
-
-def _png_chunks(data: bytes) -> list[tuple[bytes, bytes]]:
-    chunks, at = [], 8
-    while at + 8 <= len(data):
-        n = struct.unpack_from(">I", data, at)[0]
-        chunks.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + n]))
-        at += 12 + n
-    return chunks
