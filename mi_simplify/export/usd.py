@@ -95,9 +95,7 @@ def _mesh(stage: Usd.Stage, path: Sdf.Path, model: Model) -> UsdGeom.Mesh:
     return mesh
 
 
-def _material(
-    stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str, emission: float | None
-) -> UsdShade.Material:
+def _material(stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str, emission: float | None) -> UsdShade.Material:
     """Metallic-roughness UsdPreviewSurface, one texture reader per file."""
     material = UsdShade.Material.Define(stage, path)
     surface = _shader(stage, path, "surface", "UsdPreviewSurface")

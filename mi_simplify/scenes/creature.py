@@ -23,7 +23,6 @@ _TRUNK = [
 _TRUNK_RADII = [0.2, 0.165, 0.135, 0.11, 0.09, 0.078, 0.066, 0.055]
 
 
-
 def _bezier(n: int, *p) -> np.ndarray:
     """Points on a cubic Bézier curve, shape (n, 3)."""
     t = np.linspace(0, 1, n)

@@ -96,9 +96,7 @@ class SphereTraced:
         near = dr.compress(end > start)  # most rays pass the box by
         if dr.width(near) == 0:
             return dr.zeros(mi.Float, n_pixels * 4)
-        ray, cone, start, end, view, pixel = (
-            dr.gather(type(a), a, near) for a in (ray, cone, start, end, view, pixel)
-        )
+        ray, cone, start, end, view, pixel = (dr.gather(type(a), a, near) for a in (ray, cone, start, end, view, pixel))
         t, hit = self._march(ray, start, end, cone)
         dr.eval(t, hit)
         found = dr.compress(hit)
