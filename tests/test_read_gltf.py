@@ -304,7 +304,6 @@ def missing_image(glb):
         (broken_json, AssetError, "a.glb: its JSON cannot be read"),
         (no_meshes, MeshError, "a.glb: there are no faces in it"),
         (edited(asset={"version": "1.0"}), AssetError, "glTF version '1.0' is not 2.0"),
-        (edited(extensionsRequired=["KHR_draco_mesh_compression"]), AssetError, "extension KHR_draco_mesh_compression"),
         (edited(extensionsRequired=["EXT_meshopt_compression"]), AssetError, "extension EXT_meshopt_compression"),
         (edited(nodes=[{"mesh": 0, "children": [0]}]), AssetError, "nodes.0. has two parents or lies on a loop"),
         (edited(nodes=[{"mesh": 5}]), AssetError, "refers to meshes.5., which does not exist"),
