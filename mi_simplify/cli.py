@@ -139,6 +139,51 @@ def simplify(asset, triangles, init, keep_uv, out, config, settings, **options) 
 
 
 @cli.command()
+@click.argument("asset")
+@click.option("--triangles", "-n", metavar="N,N,…", required=True, help="Budgets, falling, such as 9000,3000,1000.")
+@_OUT
+@click.option("--config", metavar="YAML", help="Settings of every level.")
+@click.option("--preset", metavar="NAME", help="fast, balanced or best.")
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Override a config key; repeatable.")
+@click.option(
+    "--threshold", type=click.FloatRange(0, 1, min_open=True), default=0.04, show_default=True,
+    help="FLIP between two levels, over what they cover, below which a switch is not seen.",
+)  # fmt: skip
+@click.option("--msft-lod", is_flag=True, help="Also write lods.glb: all levels, with MSFT_lod.")
+@click.option("--usd", is_flag=True, help="Also write lods.usda: all levels, with UsdLod and a variant set.")
+@_VARIANT
+@_OVERWRITE
+@_QUIET
+def lod(asset, triangles, out, config, preset, settings, threshold, msft_lod, usd, variant, overwrite, quiet) -> None:
+    """
+    Make a chain of levels of detail from ASSET, each for the size on the screen at which it takes over.
+    """
+    from .config import load_config
+    from .errors import ConfigError
+
+    try:
+        budgets = [int(text) for text in triangles.split(",")]
+    except ValueError:
+        raise ConfigError(f"--triangles: '{triangles}' is no list of numbers such as 9000,3000,1000") from None
+    chosen: dict[str, Any] = {"asset": asset} if variant is None else {"asset": asset, "variant": variant}
+
+    def configure(keys):
+        return load_config(config, [*settings, chosen, keys], preset)
+
+    _prepare(configure({}).variant)
+    from .chain import lod_job
+
+    extras = [name for name, wanted in (("msft_lod", msft_lod), ("usd", usd)) if wanted]
+    with _progress(quiet) as progress:
+        chain = lod_job(
+            configure, budgets, out or _default_folder(asset.removeprefix("sample:")), progress,
+            threshold=threshold, extras=extras, overwrite=overwrite,
+        )  # fmt: skip
+    if not quiet:
+        print(chain.summary())
+
+
+@cli.command()
 @click.argument("config")
 @_OUT
 @_JOB

@@ -20,7 +20,7 @@ def prefiltering(target: int) -> dict[str, Any]:
     do, shaded once a pixel, against an image whose noise is small beside one pixel's.
     """
     return {
-        "initial": {"atlas_size": min(max(2 << (target - 1).bit_length(), 64), 1024)},
+        "initial": {"atlas_size": min(max(2 << (target - 1).bit_length(), 64), 1024), "oversample": 4},
         "latent": {"mips": "derived"},
         "optimizer": {
             "resolution": target,

@@ -88,6 +88,10 @@ class Initial(Section):
         description="Mesh file to start from, in the asset's place and size; only with `kind: mesh`. Its textures are "
         "not read, its texture coordinates are kept where they do not overlap.",
     )
+    source: FilePath | None = Field(
+        None,
+        description="Model that `kind: decimate` reduces and bakes from, instead of the asset, in its place.",
+    )
     keep_uv: bool = Field(
         False, description="Refuse a `mesh` whose texture coordinates cannot be kept instead of unwrapping it anew."
     )
@@ -106,6 +110,11 @@ class Initial(Section):
     textures: Literal["bake", "constant", "random"] = Field(
         "bake", description="Sample them from the asset, fill them with its mean, or with noise."
     )
+    oversample: Literal[1, 2, 4, 8] = Field(
+        1,
+        description="Bake textures of so many times the side and filter them down, the spread of the normals below a "
+        "texel becoming roughness.",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -118,6 +127,8 @@ class Initial(Section):
     def _mesh_is_named(self) -> Initial:
         if (self.kind == "mesh") != (self.mesh is not None):
             raise ValueError("`kind: mesh` and `mesh: FILE` go together, only one of them is set")
+        if self.source is not None and self.kind != "decimate":
+            raise ValueError("`source` is what `kind: decimate` reduces, which is not set")
         if self.keep_uv and self.mesh is None:
             raise ValueError("`keep_uv` is about the texture coordinates of `mesh: FILE`, which is not set")
         return self
@@ -280,6 +291,7 @@ class Config(Section):
     @model_validator(mode="after")
     def _mips_can_be_halved(self) -> Config:
         size = self.initial.atlas_size
-        if self.latent.mips != "none" and size & (size - 1):
-            raise ValueError(f"`latent.mips` needs an `initial.atlas_size` that is a power of two, it is {size}")
+        for key, asked in (("latent.mips", self.latent.mips != "none"), ("oversample", self.initial.oversample > 1)):
+            if asked and size & (size - 1):
+                raise ValueError(f"`{key}` needs an `initial.atlas_size` that is a power of two, it is {size}")
         return self

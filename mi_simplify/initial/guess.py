@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import MeshError
+from ..latent.mips import filtered_levels
 from ..latent.model import Mesh, Model
 from ..runtime import ensure_variant
 from ..scenes.asset import Asset
@@ -39,6 +40,7 @@ def first_guess(
     keep_uv: bool = False,
     repair: bool = False,
     samples: int = 2,
+    oversample: int = 1,
     padding: int = 4,
     time_limit: float = 60.0,
     crease_angle: float = 20.0,
@@ -68,6 +70,9 @@ def first_guess(
         Mend ``init`` where it is damaged: pieces that came off, stray vertices, lost volume.
     samples : int
         ``samples``² points are baked for every texel.
+    oversample : int
+        Power of two: bake textures of so many times the side, and filter them down as ``mips.filtered_levels`` does,
+        the spread of normals becoming roughness.
     padding : int
         Empty texels between charts.
     time_limit : float
@@ -125,16 +130,16 @@ def first_guess(
     notes += more
     model = replace(_plain(asset, mesh, atlas_size, textures, seed), name=asset.name)
     if textures == "bake":
-        baked = bake(asset, mesh, size=atlas_size, samples=samples)
+        baked = bake(asset, mesh, size=atlas_size * oversample, samples=samples if oversample == 1 else 1)
         if baked.missed > 0.05:
             notes.append(
                 f"{baked.missed:.0%} of the baked points saw no surface along their normal and took the closest"
             )
         mode, cutoff = alpha_of(asset, baked.base_color)
-        model = replace(
-            model, base_color=baked.base_color, specular=baked.specular, normal=baked.normal,
-            alpha_mode=mode, alpha_cutoff=cutoff,
-        )  # fmt: skip
+        images = {"base_color": baked.base_color, "specular": baked.specular, "normal": baked.normal}
+        if oversample > 1:
+            images = filtered_levels(**images)[oversample.bit_length() - 2]
+        model = replace(model, alpha_mode=mode, alpha_cutoff=cutoff, **images)
     for line in notes:
         log.info("first guess: %s", line)
     return model, notes

@@ -59,7 +59,7 @@ class Subject:
         The first guess that the configuration asks for, in the normalised frame, and notes on it.
         """
         initial, frame = self.config.initial, self.frame
-        asset = frame.normalised(self.geometry)
+        asset = frame.normalised(self.geometry if initial.source is None else load_asset(initial.source))
         if initial.kind == "decimate" and isinstance(asset, SceneAsset):
             asset.require_triangles()
         model, notes = first_guess(
@@ -71,6 +71,7 @@ class Subject:
             init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh, purpose="low-poly mesh")),
             keep_uv=initial.keep_uv,
             repair=initial.repair and "vertices" in self.config.latent.optimize,
+            oversample=initial.oversample,
             seed=self.config.seed,
             crease_angle=initial.crease_angle,
         )

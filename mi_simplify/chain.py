@@ -1,0 +1,242 @@
+"""
+A chain of levels of detail: each made from the one above, for the size on the screen at which it takes over.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import __version__
+from .config import Config
+from .errors import ConfigError
+from .export.files import make_folder, write_atomic
+from .frame import Frame
+from .job import run_job
+from .latent.model import Model
+from .output import RunFolder
+from .progress import Progress, ProgressCallback, silent
+from .report.metrics import flip, psnr
+from .report.screen import Screen
+from .report.switching import switching_size
+from .runtime import ensure_variant
+from .scenes.reference import Reference
+from .scenes.views import held_out_views
+from .subjects import Subject, open_subject
+
+#: What is written besides a GLB of every level and ``lod.json``.
+EXTRAS = ("msft_lod", "usd")
+
+
+@dataclass(frozen=True)
+class Level:
+    """
+    One level of a chain, as ``lod.json`` has it.
+
+    Parameters
+    ----------
+    file : str
+        GLB, relative to the chain's folder.
+    triangles, texels, bytes : int
+        Texels are the side of the textures.
+    screen_size : float or None
+        Diameter of the bounding sphere [pixels] from which on downwards the level is meant to be seen; None for the
+        finest.
+    screen_share : float
+        Share of a 1920 x 1080 screen that such a sphere covers; 1 for the finest.
+    target_resolution : int or None
+        Side of the images that it was prefiltered for.
+    flip_above : dict of str to float
+        By size tried: FLIP between it and the level above, over what either covers, without aliasing.
+    psnr, flip : float
+        One sample in the middle of each pixel, against the asset without aliasing, at the switching size (of the finest
+        level: of the one below).
+    seconds : float
+    """
+
+    file: str
+    triangles: int
+    texels: int
+    bytes: int
+    screen_size: float | None
+    screen_share: float
+    target_resolution: int | None
+    flip_above: dict[str, float]
+    psnr: float
+    flip: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Chain:
+    """
+    The levels, finest first, and where they are.
+    """
+
+    folder: Path
+    levels: list[Level]
+    seconds: float
+
+    def summary(self) -> str:
+        """
+        A line a level for a person.
+        """
+        rows = [
+            f"{level.file}  {level.triangles:6} triangles  {level.texels:4}² texels  {level.bytes / 1024:6.0f} kB  "
+            + (f"below {level.screen_size:4.0f} px" if level.screen_size else "any size     ")
+            + f"  PSNR {level.psnr:5.2f} dB  FLIP {level.flip:.4f}"
+            for level in self.levels
+        ]
+        return "\n".join([*rows, f"{self.folder / 'lod.json'}: done in {self.seconds:.0f} s"])
+
+
+def lod_job(
+    configure: Callable[[Mapping[str, Any]], Config],
+    triangles: Sequence[int],
+    out: str | Path,
+    progress: ProgressCallback = silent,
+    *,
+    threshold: float = 0.04,
+    extras: Sequence[str] = (),
+    overwrite: bool = False,
+) -> Chain:
+    """
+    Simplify an asset to several budgets and measure at which sizes they may follow each other.
+
+    The finest level is an ordinary run. Every other one starts from the mesh and the textures of the level above, is
+    prefiltered for the size at which that start already looks like it, and fitted to the asset; where the result looks
+    like the level above is measured once more, and that is the size written down.
+
+    Parameters
+    ----------
+    configure : callable
+        ``configure(overrides) -> Config``: the user's configuration with a few more keys, as nested dicts.
+    triangles : sequence of int
+        Budgets, falling.
+    out : str or Path
+        Folder; level k is a run of its own in ``lod{k}``.
+    progress : callable
+    threshold : float
+        FLIP between two levels, over what either covers, below which the switch is not seen.
+    extras : sequence of {'msft_lod', 'usd'}
+        Also write all levels into one GLB with MSFT_lod, or refer to them from one USD layer with UsdLod.
+    overwrite : bool
+        Replace the runs that ``out`` holds.
+
+    Raises
+    ------
+    UserError
+        As :func:`.job.run_job`; or the budgets do not fall.
+    """
+    if len(triangles) < 2 or any(a <= b for a, b in zip(triangles, triangles[1:], strict=False)):
+        raise ConfigError("--triangles: a chain needs at least two budgets, each below the one before: 9000,3000,1000")
+    start, out = time.perf_counter(), Path(out)
+    for k in range(len(triangles)):
+        RunFolder(out / f"lod{k}", overwrite=overwrite)  # what is in the way is said before anything is done
+    formats = ["glb", *(["usd"] if "usd" in extras else [])]
+    config = configure({"export": {"formats": formats}})
+    ensure_variant(config.variant)
+    subject = open_subject(config.asset)
+    frame = Frame.around(subject.geometry.bounds)
+    bounds = np.stack([(corner - frame.center) * frame.scale for corner in subject.geometry.bounds])
+    make_folder(out)
+
+    levels, models = [], []
+    for k, budget in enumerate(triangles):
+        begun, folder = time.perf_counter(), out / f"lod{k}"
+
+        def told(event: Progress, k: int = k) -> None:
+            progress(dataclasses.replace(event, stage=f"lod{k} {event.stage}"))
+
+        keys: dict[str, Any] = {"initial": {"triangles": budget}, "export": {"formats": formats}}
+        if k:
+            keys["initial"] |= {"source": str(folder.with_name(f"lod{k - 1}") / "model.glb")}
+            told(Progress("size"))
+            guess, _ = subject.guess(configure(keys), frame)
+            largest = levels[-1].screen_size or np.inf
+            size, _ = switching_size(models[-1], guess, bounds, threshold, largest=largest, form=config.latent.shading)
+            keys["optimizer"] = {"target_resolution": _film(size, bounds, config)}
+        settings = configure(keys)
+        result = run_job(settings, folder, told, overwrite=overwrite)
+        models.append(result.model.transformed(frame.scale, -frame.scale * frame.center))
+        size, measured = None, {}
+        if k:
+            told(Progress("size"))
+            size, measured = switching_size(
+                models[-2], models[-1], bounds, threshold, largest=largest, form=settings.latent.shading
+            )
+        file = folder / "model.glb"
+        levels.append(
+            Level(
+                file=f"{folder.name}/{file.name}", triangles=result.model.n_triangles,
+                texels=result.model.base_color.shape[0], bytes=file.stat().st_size,
+                screen_size=None if size is None else round(size, 1), screen_share=1.0,
+                target_resolution=settings.optimizer.target_resolution,
+                flip_above={str(s): round(x, 5) for s, x in measured.items()},
+                psnr=0.0, flip=0.0, seconds=round(time.perf_counter() - begun, 1),
+            )
+        )  # fmt: skip
+    levels = _judged(levels, models, subject, frame, bounds, config)
+    _write_extras(out, levels, bounds / frame.scale + frame.center, extras)
+    seconds = time.perf_counter() - start
+    document = {
+        "generator": f"mi_simplify {__version__}", "asset": config.asset, "threshold": threshold,
+        "seconds": round(seconds, 1), "levels": [dataclasses.asdict(level) for level in levels],
+    }  # fmt: skip
+    write_atomic(out / "lod.json", json.dumps(document, indent=2, allow_nan=False) + "\n")
+    return Chain(out, levels, seconds)
+
+
+def _film(size: float, bounds: np.ndarray, config: Config) -> int:
+    """Side of the fit's images that show a bounding sphere of this diameter [pixels], in whole tiles of four."""
+    radius = np.linalg.norm(bounds[1] - bounds[0]) / 2
+    share = radius / (config.views.distance * np.tan(np.radians(config.views.fov) / 2))
+    return int(np.clip(4 * round(size / share / 4), 16, 1024))
+
+
+def _judged(
+    levels: Sequence[Level], models: Sequence[Model], subject: Subject, frame: Frame, bounds: np.ndarray, config: Config
+) -> list[Level]:
+    """The levels with their figures at the switching sizes."""
+    from .export.lods import coverage
+
+    reference = subject.reference(config.model_copy(update={"reference": _supersampled(config)}), frame)
+    out = []
+    for k, (level, model) in enumerate(zip(levels, models, strict=True)):
+        size = level.screen_size or (levels[k + 1].screen_size if k + 1 < len(levels) else None) or 256
+        a, b = _strict(model, reference, bounds, int(round(size)), config)
+        share = 1.0 if level.screen_size is None else coverage(level.screen_size)
+        figures = {"psnr": round(float(psnr(a, b).mean()), 3), "flip": round(float(flip(a, b).mean()), 5)}
+        out.append(dataclasses.replace(level, screen_share=round(share, 6), **figures))
+    return out
+
+
+def _supersampled(config: Config):
+    return config.reference.model_copy(update={"spp": max(config.reference.spp, 64)})
+
+
+def _strict(model: Model, reference: Reference, bounds: np.ndarray, size: int, config: Config):
+    """Images of the reference, and of a model with one sample in the middle of each pixel."""
+    views = held_out_views(bounds, 8, size, config.seed)
+    screen = Screen(model, form=config.latent.shading, shade="centre")
+    return reference.render(views, config.seed), screen.images(views, spp=1)
+
+
+def _write_extras(out: Path, levels: Sequence[Level], bounds: np.ndarray, extras: Sequence[str]) -> None:
+    """One file with all levels, in the formats asked for."""
+    sizes = [level.screen_size for level in levels if level.screen_size is not None]
+    if "msft_lod" in extras:
+        from .export.lods import join_glb
+
+        join_glb([out / level.file for level in levels], sizes, out / "lods.glb")
+    if "usd" in extras:
+        from .export.lods import join_usd
+
+        join_usd([level.file.replace(".glb", ".usdc") for level in levels], sizes, bounds, out / "lods.usda")
