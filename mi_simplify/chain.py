@@ -18,7 +18,6 @@ from . import __version__
 from .config import Config
 from .errors import ConfigError
 from .export.files import make_folder, write_atomic
-from .frame import Frame
 from .job import run_job
 from .latent.model import Model
 from .output import RunFolder
@@ -29,7 +28,7 @@ from .report.switching import switching_size
 from .runtime import ensure_variant
 from .scenes.reference import Reference
 from .scenes.views import held_out_views
-from .subjects import Subject, open_subject
+from .subjects import open_subject
 
 #: What is written besides a GLB of every level and ``lod.json``.
 EXTRAS = ("msft_lod", "usd")
@@ -143,8 +142,8 @@ def lod_job(
     formats = ["glb", *(["usd"] if "usd" in extras else [])]
     config = configure({"export": {"formats": formats}})
     ensure_variant(config.variant)
-    subject = open_subject(config.asset)
-    frame = Frame.around(subject.geometry.bounds)
+    subject = open_subject(config)
+    frame = subject.frame
     bounds = np.stack([(corner - frame.center) * frame.scale for corner in subject.geometry.bounds])
     make_folder(out)
 
@@ -159,7 +158,7 @@ def lod_job(
         if k:
             keys["initial"] |= {"source": str(folder.with_name(f"lod{k - 1}") / "model.glb")}
             told(Progress("size"))
-            guess, _ = subject.guess(configure(keys), frame)
+            guess, _ = open_subject(configure(keys)).guess()
             largest = levels[-1].screen_size or np.inf
             size, _ = switching_size(models[-1], guess, bounds, threshold, largest=largest, form=config.latent.shading)
             keys["optimizer"] = {"target_resolution": _film(size, bounds, config)}
@@ -183,7 +182,7 @@ def lod_job(
                 psnr=0.0, flip=0.0, seconds=round(time.perf_counter() - begun, 1),
             )
         )  # fmt: skip
-    levels = _judged(levels, models, subject, frame, bounds, config)
+    levels = _judged(levels, models, bounds, config)
     _write_extras(out, levels, bounds / frame.scale + frame.center, extras)
     seconds = time.perf_counter() - start
     document = {
@@ -202,12 +201,12 @@ def _film(size: float, bounds: np.ndarray, config: Config) -> int:
 
 
 def _judged(
-    levels: Sequence[Level], models: Sequence[Model], subject: Subject, frame: Frame, bounds: np.ndarray, config: Config
+    levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray, config: Config
 ) -> list[Level]:
     """The levels with their figures at the switching sizes."""
     from .export.lods import coverage
 
-    reference = subject.reference(config.model_copy(update={"reference": _supersampled(config)}), frame)
+    reference = open_subject(config.model_copy(update={"reference": _supersampled(config)})).reference()
     out = []
     for k, (level, model) in enumerate(zip(levels, models, strict=True)):
         size = level.screen_size or (levels[k + 1].screen_size if k + 1 < len(levels) else None) or 256

@@ -39,6 +39,7 @@ class Screen:
         extended = bool((model.base_color[..., 3] < 1).any() or model.specular[..., 0].any())
         self.latent = Latent(model, extended, mips)
         self.renderer = DeferredRenderer(self.latent.topology, form=form, shade=shade)
+        self.ambient = None if model.ambient is None else mi.Float(model.ambient.ravel())
 
     def images(self, views: Views, *, spp: int = 16, seed: int = 1) -> np.ndarray:
         """
@@ -54,7 +55,7 @@ class Screen:
                 self.renderer.move(positions)
                 surface = self.latent.evaluate(positions)
                 frame = self.renderer.render(
-                    surface, self.latent.textures, part, spp=spp, seed=dr.opaque(mi.UInt32, seed)
+                    surface, self.latent.textures, part.under(self.ambient), spp=spp, seed=dr.opaque(mi.UInt32, seed)
                 )
                 out[index] = frame.image.numpy().T.reshape(len(part), *out.shape[1:])
         return out
