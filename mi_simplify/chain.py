@@ -200,9 +200,7 @@ def _film(size: float, bounds: np.ndarray, config: Config) -> int:
     return int(np.clip(4 * round(size / share / 4), 16, 1024))
 
 
-def _judged(
-    levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray, config: Config
-) -> list[Level]:
+def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray, config: Config) -> list[Level]:
     """The levels with their figures at the switching sizes."""
     from .export.lods import coverage
 
