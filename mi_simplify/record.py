@@ -15,6 +15,7 @@ from .config import Config
 from .errors import OutputError
 from .events import EVENTS, Events
 from .export import export_model
+from .export.environment import write_environment
 from .fitting import FitResult, Run, fit
 from .frame import Frame
 from .interrupt import DeferredInterrupt
@@ -110,12 +111,16 @@ class Record:
             The folder has no room for it, or is gone for good; where it is instead.
         """
         formats, facts = self.config.export.formats, self.facts
+        environment = None
         if model.ambient is not None:
+            environment = model.ambient if len(model.ambient) > 1 else None
             facts = facts | {"ambient": " ".join(f"{x:.6g}" for x in model.ambient.ravel())}
             if self.config.latent.ambient.export == "drop":
                 model = replace(model, ambient=None)
         try:
             with self.folder.staged() as stage:
+                if environment is not None:
+                    write_environment(environment, stage)
                 files = export_model(model, stage, formats=formats, extras=facts)
         except OutputError as error:
             spare = Path(tempfile.mkdtemp(prefix="mi-simplify-"))

@@ -64,6 +64,8 @@ def load_config(
     kind = initial.get("kind") if isinstance(initial, Mapping) else None
     if isinstance(kind, str):
         merged = _merge(STARTS.get(kind, {}), merged)
+    if str(merged.get("asset")).lower().endswith(".json") and kind in (None, "decimate"):
+        merged = _merge(STARTS["images"], merged)
     optimizer = merged.get("optimizer")
     target = optimizer.get("target_resolution") if isinstance(optimizer, Mapping) else None
     if isinstance(target, int) and 8 <= target <= 8192:

@@ -34,13 +34,24 @@ def prefiltering(target: int) -> dict[str, Any]:
 
 
 STARTS: dict[str, dict[str, Any]] = {
-    # By `initial.kind`. A sphere has a long way to go: outlines pull most, on the surface as a whole, coarse to fine.
+    # By `initial.kind`; the last for a `transforms.json`.
+    # A sphere has a long way to go: outlines pull most, on the surface as a whole, coarse to fine.
     "sphere": {
         "initial": {"textures": "constant"},
         "optimizer": {
             "resolution": [64, 128, 256],
             "rates": {"vertices": 0.2, "base_color": 0.1, "specular": 0.01, "normal": 0.02},
             "large_steps": {"lambda_": 19.0},
+        },
+        "loss": {"coverage": 10.0, "laplacian": {"weight": 0.0}},
+    },
+    # Of images: their hull has the outlines, but no hollows and no colours.
+    "images": {
+        "initial": {"textures": "constant"},
+        "optimizer": {
+            "resolution": [128, 256],
+            "rates": {"vertices": 0.02, "base_color": 0.05, "specular": 0.01, "normal": 0.01},
+            "large_steps": {"lambda_": 10.0},
         },
         "loss": {"coverage": 10.0, "laplacian": {"weight": 0.0}},
     },

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from .ambient import Ambient
+from .images import Images
 from .implicit import Implicit
 from .section import FilePath as FilePath
 from .section import PathMark as PathMark
@@ -269,7 +270,7 @@ class Config(Section):
 
     asset: FilePath = Field(
         description="Model file; `sample:NAME` for one made by code (relic, shrub, creature); `package.module:NAME` or "
-        "`file.py:NAME` for an implicit surface, which runs that Python code."
+        "`file.py:NAME` for an implicit surface, which runs that Python code; `transforms.json` for captured images."
     )
     preset: Literal["fast", "balanced", "best"] | None = Field(
         None, description="Overrides that lie between the defaults and everything set here."
@@ -280,6 +281,7 @@ class Config(Section):
     )
     reference: Reference = Reference()
     implicit: Implicit = Implicit()
+    images: Images = Images()
     initial: Initial = Initial()
     latent: Latent = Latent()
     views: Views = Views()

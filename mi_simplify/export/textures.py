@@ -72,7 +72,7 @@ def encode_textures(model: Model) -> Textures:
     rgb, metallic, specular_color = fold_gamma(base[..., :3], specular)
     orm = np.stack([np.ones_like(metallic), specular[..., 1], metallic], axis=2)
     emission, strength = None, 1.0
-    if model.ambient is not None:
+    if model.ambient is not None and len(model.ambient) == 1:
         radiance = emission_of(model.ambient, base, _nearest(specular[..., 2], base.shape[:2]))
         strength = max(float(radiance.max()), 1e-6)
         emission = to_8bit(linear_to_srgb(radiance / strength))

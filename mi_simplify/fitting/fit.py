@@ -4,6 +4,7 @@ One step of the fit: draw views, render both sides, carry the difference back, s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -12,12 +13,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..config import Config
+from ..config.schema import Views as ViewSettings
 from ..integrators.deferred import DeferredRenderer
 from ..latent.latent import Latent
 from ..latent.model import Model
 from ..latent.surface import Surface
 from ..latent.textures import Textures
-from ..scenes.reference import Reference
+from ..scenes.reference import OwnViews, Reference
 from ..scenes.views import Views, goniometer
 from ..upload import upload
 from .ambient import AmbientSteps
@@ -71,11 +73,7 @@ class Fit:
         self.caution = 1.0
         """Factor of all rates, and divisor of the samples per pixel, halved by :meth:`retreat`."""
 
-        view = config.views
-        draw = partial(
-            _draw, distance=view.distance, jitter=view.jitter, fov=view.fov, exponent=view.light.exponent,
-            irradiance=view.light.irradiance, position=view.light.position,
-        )  # fmt: skip
+        draw = reference.draw if isinstance(reference, OwnViews) else _by_chance(config.views)
         residual = None
         if matched:
             residual = PathResidual(
@@ -86,7 +84,11 @@ class Fit:
         self.pool = ViewPool(reference, sized, config.reference.pool, np.random.default_rng(config.seed), residual)
         held_out = config.evaluation
         resolution = min(held_out.resolution, max(config.optimizer.resolution))
-        (self.held_out,) = draw(min(held_out.views, 8), np.random.default_rng(config.seed + 1), resolution)
+        n_held_out = min(held_out.views, 8)
+        if isinstance(reference, OwnViews):
+            self.held_out = reference.held_out(n_held_out, resolution)
+        else:
+            (self.held_out,) = draw(n_held_out, np.random.default_rng(config.seed + 1), resolution)
         images = np.mean([reference.render(self.held_out, seed=k + 1) for k in range(_HELD_OUT_RENDERS)], axis=0)
         self._unknown = np.isnan(images).any(axis=3)[..., None]
         self._held_out_images = np.where(self._unknown, 0, images)
@@ -254,6 +256,14 @@ class Fit:
         self.pool.restore(state["pool"])
         self.ambient.restore(state.get("ambient", {}))  # of a dict without entries nothing is left
         self._laplacian_start, self.caution = state["laplacian_start"], state["caution"]
+
+
+def _by_chance(settings: ViewSettings) -> Callable[[int, np.random.Generator, int], list[Views]]:
+    """Views anywhere around the origin, as ``ViewPool`` draws them."""
+    return partial(
+        _draw, distance=settings.distance, jitter=settings.jitter, fov=settings.fov, exponent=settings.light.exponent,
+        irradiance=settings.light.irradiance, position=settings.light.position,
+    )  # fmt: skip
 
 
 def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance, position) -> list[Views]:

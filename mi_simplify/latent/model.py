@@ -80,8 +80,8 @@ class Model:
     mips : tuple of dict
         Coarser levels of the textures where they are the model's own and not means of the finest: ``base_color``,
         ``specular`` and ``normal``, each half as large as the one before.
-    ambient : ndarray, shape (1, 3), float32, optional
-        Colour of the light from everywhere that it was fitted under, see :mod:`.ambient`.
+    ambient : ndarray, shape (K, 3), float32, optional
+        The light besides point lights that it was fitted under, see :mod:`.ambient`.
     """
 
     mesh: Mesh

@@ -55,19 +55,23 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     positions = upload(mi.Float, latent.topology.mesh.positions.ravel())
     fitted = _render(latent.topology, latent.evaluate(positions), latent.textures, positions, views, form)
     (part,) = written.placed()
-    return float(psnr(fitted, _render(*_as_written(part, _stored_tangents(written)), views, form)).mean())
+    return float(psnr(fitted, _render(*as_written(part, stored_tangents(written)), views, form)).mean())
 
 
-def _stored_tangents(written: Asset) -> np.ndarray | None:
-    """Tangents and handedness that a GLB file carries, shape (V, 4); other formats have none."""
+def stored_tangents(written: Asset) -> np.ndarray | None:
+    """
+    Tangents and handedness that a GLB file carries, shape (V, 4); other formats have none.
+    """
     if not written.source.endswith(".glb"):
         return None
     file = GltfFile(Path(written.source), [])
     return file.accessor(file.item("meshes", 0)["primitives"][0]["attributes"]["TANGENT"])
 
 
-def _as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, Surface, Textures, mi.Float]:
-    """The part on the device, with normals and tangents as in its file; MikkTSpace's tangents where it has none."""
+def as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, Surface, Textures, mi.Float]:
+    """
+    The part on the device, with normals and tangents as in its file; MikkTSpace's tangents where it has none.
+    """
     vertex = np.arange(len(part.vertices))
     assert part.uvs is not None  # every exporter writes them
     topology = MeshTopology(Mesh(part.vertices, vertex, part.uvs, part.faces))

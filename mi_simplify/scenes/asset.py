@@ -112,7 +112,7 @@ class Asset:
     notes: tuple[str, ...] = ()
     """What the reader left out or repaired, one line each, for the log and the report."""
     ambient: np.ndarray | None = None
-    """Of a fitted model: the light from everywhere that belongs to it, shape (1, 3), see :mod:`..latent.ambient`."""
+    """Of a fitted model: the light besides point lights that belongs to it, (K, 3), see :mod:`..latent.ambient`."""
 
     @property
     def n_triangles(self) -> int:

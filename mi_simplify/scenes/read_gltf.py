@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import memory
 from ..errors import AssetError, MeshError
+from ..latent.harmonics import COUNTS
 from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Part
 from .gltf_file import GltfFile
 from .gltf_material import read_material
@@ -65,7 +66,7 @@ class _Scene:
         return Asset(tuple(self.parts), tuple(self.instances), notes=tuple(self.notes), ambient=self._ambient())
 
     def _ambient(self) -> np.ndarray | None:
-        """The light from everywhere that a model of ours was fitted under."""
+        """The light besides point lights that a model of ours was fitted under."""
         extras = self.file.json.get("asset", {}).get("extras")
         value = extras.get("ambient") if isinstance(extras, dict) else None
         if value is None:
@@ -74,7 +75,7 @@ class _Scene:
             ambient = np.array(value.split(), np.float32).reshape(-1, 3)
         except (ValueError, AttributeError):
             ambient = np.zeros((0, 3), np.float32)
-        if ambient.shape != (1, 3) or not np.isfinite(ambient).all():
+        if len(ambient) not in COUNTS or not np.isfinite(ambient).all():
             self.notes.append("the ambient light in its extras makes no sense and was left out")
             return None
         return ambient

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import mitsuba as mi
 import numpy as np
@@ -37,6 +37,25 @@ class Reference(Protocol):
         -------
         ndarray, shape (B, height, width, 4), float32
             Linear radiance on black (premultiplied by coverage), and coverage.
+        """
+        ...
+
+
+@runtime_checkable
+class OwnViews(Reference, Protocol):
+    """
+    A reference that shows some views only, and says which.
+    """
+
+    def draw(self, n: int, rng: np.random.Generator, resolution: int) -> list[Views]:
+        """
+        ``n`` views to fit, of a square film, in lists of one animation frame each.
+        """
+        ...
+
+    def held_out(self, n: int, resolution: int) -> Views:
+        """
+        Up to ``n`` views that are never drawn.
         """
         ...
 

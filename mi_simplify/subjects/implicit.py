@@ -14,9 +14,10 @@ from ..report.evaluate import Comparison, Rendering, compare_renderings
 from ..scenes.asset import Asset
 from ..scenes.creature import creature
 from ..scenes.implicit import implicit_named
-from ..scenes.reference import FramedReference, Reference, make_reference
+from ..scenes.reference import FramedReference, Reference
 from ..scenes.sphere_tracing import SphereTraced
 from ..scenes.views import held_out_views
+from .light import fitted_light
 from .subject import Subject
 
 
@@ -80,13 +81,6 @@ class ImplicitSubject(Subject):
         settings = {"spp": spp, "seed": seed, "light": "direct", "reference": self.config.reference.transport}
         return compare_renderings(
             Rendering(self.geometry, self._renderer(spp)),
-            {name: Rendering(asset, direct_light(asset, spp, self.config)) for name, asset in candidates.items()},
+            {name: Rendering(asset, fitted_light(asset, spp, self.config)) for name, asset in candidates.items()},
             views, settings, progress,
         )  # fmt: skip
-
-
-def direct_light(asset: Asset, spp: int, config: Config) -> Reference:
-    """
-    A model as the fit sees it: lit directly, and by the ambient light that belongs to it.
-    """
-    return make_reference(asset, transport="direct", spp=spp, form=config.latent.shading, ambient=asset.ambient)

@@ -14,6 +14,7 @@ from ..config import SAMPLE_PREFIX, Config, code_of
 from ..errors import AssetError
 from ..frame import Frame
 from ..initial import first_guess
+from ..latent.harmonics import constant_environment
 from ..latent.model import Model
 from ..progress import ProgressCallback
 from ..report.evaluate import Comparison, compare_assets
@@ -79,8 +80,10 @@ class Subject:
 
     @property
     def ambient(self) -> np.ndarray | None:
-        """Where the ambient light of the latent model starts, shape (1, 3); None where it has none."""
+        """Where the ambient light of the latent model starts, shape (K, 3); None where it has none."""
         ambient = self.config.latent.ambient
+        if ambient.kind == "environment":
+            return constant_environment(ambient.color)
         return np.array([ambient.color], np.float32) if ambient.kind == "color" else None
 
     def reference(self) -> Reference:
@@ -137,6 +140,10 @@ def open_subject(config: Config) -> Subject:
         from .implicit import ImplicitSubject
 
         return ImplicitSubject(config)
+    if Path(name).suffix.lower() == ".json":
+        from .images import ImageSubject
+
+        return ImageSubject(config)
     return Subject(config, open_asset(name))
 
 
