@@ -67,8 +67,8 @@ class Forecast:
         rows = dict(self.plan) | {"time": f"about {_words(sum(self.seconds.values()))}: {parts}"}
         rows["memory"] = f"about {memory.shown_size(self.memory)} at most"
         rows["measured"] = (
-            f"on this machine as busy as it is now: the first guess, {self.steps} steps of the fit and two views of the "
-            "evaluation were done, the rest is reckoned from them; nothing was written"
+            f"on this machine as busy as it is now: the first guess, {self.steps} steps of the fit and two views of "
+            "the evaluation were done, the rest is reckoned from them; nothing was written"
         )
         return "\n".join(f"{name:12} {text}" for name, text in rows.items())
 
