@@ -183,6 +183,7 @@ class _Reader:
 
     def _intrinsics(self, frame: dict, image: np.ndarray, name: str) -> tuple[list[float], list[float]]:
         """Focal lengths and principal point [pixels]."""
+
         def get(key: str) -> Any:
             return frame.get(key, self.document.get(key))
 
