@@ -147,7 +147,8 @@ def lod_job(
     bounds = np.stack([(corner - frame.center) * frame.scale for corner in subject.geometry.bounds])
     make_folder(out)
 
-    levels, models = [], []
+    levels: list[Level] = []
+    models: list[Model] = []
     for k, budget in enumerate(triangles):
         begun, folder = time.perf_counter(), out / f"lod{k}"
 
@@ -165,10 +166,11 @@ def lod_job(
         settings = configure(keys)
         result = run_job(settings, folder, told, overwrite=overwrite)
         models.append(result.model.transformed(frame.scale, -frame.scale * frame.center))
-        size, measured = None, {}
+        takes_over: float | None = None
+        measured: dict[int, float] = {}
         if k:
             told(Progress("size"))
-            size, measured = switching_size(
+            takes_over, measured = switching_size(
                 models[-2], models[-1], bounds, threshold, largest=largest, form=settings.latent.shading
             )
         file = folder / "model.glb"
@@ -176,7 +178,7 @@ def lod_job(
             Level(
                 file=f"{folder.name}/{file.name}", triangles=result.model.n_triangles,
                 texels=result.model.base_color.shape[0], bytes=file.stat().st_size,
-                screen_size=None if size is None else round(size, 1), screen_share=1.0,
+                screen_size=None if takes_over is None else round(takes_over, 1), screen_share=1.0,
                 target_resolution=settings.optimizer.target_resolution,
                 flip_above={str(s): round(x, 5) for s, x in measured.items()},
                 psnr=0.0, flip=0.0, seconds=round(time.perf_counter() - begun, 1),
@@ -210,8 +212,14 @@ def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray
         size = level.screen_size or (levels[k + 1].screen_size if k + 1 < len(levels) else None) or 256
         a, b = _strict(model, reference, bounds, int(round(size)), config)
         share = 1.0 if level.screen_size is None else coverage(level.screen_size)
-        figures = {"psnr": round(float(psnr(a, b).mean()), 3), "flip": round(float(flip(a, b).mean()), 5)}
-        out.append(dataclasses.replace(level, screen_share=round(share, 6), **figures))
+        out.append(
+            dataclasses.replace(
+                level,
+                screen_share=round(share, 6),
+                psnr=round(float(psnr(a, b).mean()), 3),
+                flip=round(float(flip(a, b).mean()), 5),
+            )
+        )
     return out
 
 

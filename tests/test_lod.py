@@ -23,9 +23,9 @@ SHORT = [
 
 
 def ball(n: int, size: int = 16, noise: float = 0.0) -> Model:
-    plain = [np.full((size, size, c), 0.5, np.float32) for c in (4, 3)]
-    plain[0][..., 3], plain[1][..., ::2] = 1, 0
-    return Model(charted_sphere(n, noise), *plain, np.tile(np.float32([0, 0, 1]), (size, size, 1)))
+    base_color, specular = (np.full((size, size, c), 0.5, np.float32) for c in (4, 3))
+    base_color[..., 3], specular[..., ::2] = 1, 0
+    return Model(charted_sphere(n, noise), base_color, specular, np.tile(np.float32([0, 0, 1]), (size, size, 1)))
 
 
 def test_rougher_levels_take_over_at_smaller_sizes():

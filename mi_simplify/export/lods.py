@@ -9,6 +9,7 @@ import json
 import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from pxr import Gf, Usd, UsdGeom, UsdLod, Vt
 
@@ -42,7 +43,8 @@ def join_glb(files: Sequence[Path], sizes: Sequence[float], path: Path) -> Path:
     OutputError
         The file cannot be written.
     """
-    joined, data, roots = {}, b"", []
+    joined: dict[str, Any] = {}
+    data, roots = b"", []
     for file in files:
         document, binary = _read(file)
         roots.append(len(joined.get("nodes", [])) + document["scenes"][0]["nodes"][0])
@@ -88,7 +90,7 @@ def _merged(one: dict, other: dict, offset: int) -> dict:
             return [shifted(x) for x in item]
         if not isinstance(item, dict):
             return item
-        out = {}
+        out: dict[str, Any] = {}
         for key, value in item.items():
             if key in _REFERENCES and isinstance(value, int):
                 out[key] = value + first[_REFERENCES[key]]

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -136,7 +137,7 @@ def first_guess(
                 f"{baked.missed:.0%} of the baked points saw no surface along their normal and took the closest"
             )
         mode, cutoff = alpha_of(asset, baked.base_color)
-        images = {"base_color": baked.base_color, "specular": baked.specular, "normal": baked.normal}
+        images: dict[str, Any] = {"base_color": baked.base_color, "specular": baked.specular, "normal": baked.normal}
         if oversample > 1:
             images = filtered_levels(**images)[oversample.bit_length() - 2]
         model = replace(model, alpha_mode=mode, alpha_cutoff=cutoff, **images)

@@ -64,14 +64,14 @@ def switching_size(
         FLIP by size.
     """
     # Without mip levels: those of a texture far larger than the image would mix what lies beside each other in it.
-    screens = [Screen(model, form=form, mips="none") for model in (above, level)]
+    finer, coarser = (Screen(model, form=form, mips="none") for model in (above, level))
     sizes = [s for s in SIZES if s <= max(largest, SIZES[-1])]
     found: dict[int, float] = {}
 
     def is_alike(k: int) -> bool:
         if told is not None:
             told(sizes[k])
-        found[sizes[k]] = difference(*screens, held_out_views(bounds, n_views, sizes[k], seed=7))
+        found[sizes[k]] = difference(finer, coarser, held_out_views(bounds, n_views, sizes[k], seed=7))
         return found[sizes[k]] < threshold
 
     # The first of the falling sizes that is alike, by bisection: every size is kernels of its own.
