@@ -63,6 +63,15 @@ class Reference(Section):
     environment: FilePath | None = Field(
         None, description="Environment map (EXR or HDR) besides the point light; only with `transport: baked`."
     )
+    renderer: Literal["mitsuba", "vtk"] = Field(
+        "mitsuba", description="What renders a model file; `vtk`, a package apart, is a rasteriser without shadows."
+    )
+    command: str | None = Field(
+        None,
+        min_length=1,
+        description="A program of your own that renders instead: it is started with a `transforms.json` of views and "
+        "writes their images, see How it works.",
+    )
     scene_lights: bool = Field(
         False, description="Keep the lights of a Mitsuba scene besides the point light; only with `transport: baked`."
     )

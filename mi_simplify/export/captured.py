@@ -5,6 +5,7 @@ Images with their cameras and lights, as a folder that other programs read: ``tr
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,15 @@ TRANSFORMS = "transforms.json"
 
 
 def write_captured(
-    folder: str | Path, arrays: dict[str, np.ndarray], images: np.ndarray, *, format: str = "png", light: str = "point"
+    folder: str | Path,
+    arrays: dict[str, np.ndarray],
+    images: np.ndarray,
+    *,
+    format: str = "png",
+    light: str = "point",
+    frames: Sequence[dict] = (),
+    document: dict | None = None,
+    with_images: bool = True,
 ) -> Path:
     """
     Write rendered views in the convention of NeRF and Blender, see :mod:`..scenes.captured`.
@@ -33,6 +42,12 @@ def write_captured(
         8-bit sRGB with straight alpha, clipped to 1; or linear floating point, premultiplied.
     light : {'point', 'unlit', 'environment'}
         'point' writes each view's own light.
+    frames : sequence of dict
+        More to say of each frame.
+    document : dict, optional
+        More to say of all.
+    with_images : bool
+        Off: the files are named, but not written; ``images`` says nothing but their size.
 
     Returns
     -------
@@ -42,7 +57,7 @@ def write_captured(
     folder = make_folder(folder)
     make_folder(folder / "images")
     n, height, width = images.shape[:3]
-    frames: list[dict] = []
+    rows: list[dict] = []
     for k in range(n):
         matrix = np.eye(4)
         matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = arrays["right"][k], arrays["up"][k], -arrays["forward"][k]
@@ -55,12 +70,13 @@ def write_captured(
         }
         if light == "point":
             frame["light"] = {key: arrays[f"light_{key}"][k].tolist() for key in ("position", "intensity")}
-        _write_image(folder / name, images[k], format)
-        frames.append(frame)
-    document = {"up": "y", "w": width, "h": height, "color_space": "srgb" if format == "png" else "linear"}
+        if with_images:
+            _write_image(folder / name, images[k], format)
+        rows.append(frame | (frames[k] if len(frames) else {}))
+    head = {"up": "y", "w": width, "h": height, "color_space": "srgb" if format == "png" else "linear"}
     if light != "point":
-        document["light"] = light
-    return write_atomic(folder / TRANSFORMS, json.dumps({**document, "frames": frames}, indent=1))
+        head["light"] = light
+    return write_atomic(folder / TRANSFORMS, json.dumps({**head, **(document or {}), "frames": rows}, indent=1))
 
 
 def _write_image(path: Path, image: np.ndarray, format: str) -> None:

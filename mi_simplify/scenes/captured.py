@@ -68,9 +68,15 @@ class Captured:
         return len(self.images)
 
 
-def read_captured(path: str | Path) -> Captured:
+def read_captured(path: str | Path, *, may_be_empty: bool = False) -> Captured:
     """
     Read a ``transforms.json`` and all images that it names, and check that they fit together.
+
+    Parameters
+    ----------
+    path : str or Path
+    may_be_empty : bool
+        Whether images may all be black or transparent.
 
     Raises
     ------
@@ -90,7 +96,7 @@ def read_captured(path: str | Path) -> Captured:
     frames = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
         raise AssetError(f"{path.name}: it has no 'frames', a list of images with their cameras")
-    return _Reader(path, document).read(frames)
+    return _Reader(path, document).read(frames, may_be_empty)
 
 
 class _Reader:
@@ -102,7 +108,7 @@ class _Reader:
             if document.get(key) is not None and document[key] not in known:
                 raise AssetError(f"{path.name}: '{key}' should be {' or '.join(known)}, got {document[key]!r:.40}")
 
-    def read(self, frames: list[dict]) -> Captured:
+    def read(self, frames: list[dict], may_be_empty: bool) -> Captured:
         turn = np.eye(4) if self.document.get("up") == "y" else _Y_UP
         files = [self._file(frame, "file_path") for frame in frames]
         n_pixels = sum(int(np.prod(check_image(file.read_bytes(), file.name, self.path.name))) for file in files)
@@ -115,9 +121,9 @@ class _Reader:
             to_world.append(turn @ self._pose(frame, file.name))
             focal.append(f)
             center.append(c)
-        if not any((image[..., 3] > 0.5).any() for image in images):
+        if not may_be_empty and not any((image[..., 3] > 0.5).any() for image in images):
             raise AssetError(f"{self.path.name}: all images are transparent, there is nothing to fit")
-        if not any(image[..., :3].any() for image in images):
+        if not may_be_empty and not any(image[..., :3].any() for image in images):
             raise AssetError(f"{self.path.name}: all images are black, there is nothing to fit")
         lights = [self._light(frame, file.name) for frame, file in zip(frames, files, strict=True)]
         known = [light for light in lights if light is not None]

@@ -73,11 +73,7 @@ class ImplicitSubject(Subject):
         """
         Candidates under direct light and their ambient term, beside the surface in the light that they were fitted to.
         """
-        views = held_out_views(self.geometry.bounds, n_views, resolution, seed)
-        light = self.config.views.light
-        if light.position is not None:
-            place = [x / self.frame.scale + c for x, c in zip(light.position, self.frame.center, strict=True)]
-            views = views.lit_from(place, self.frame.center, light.irradiance)
+        views = self.lit_as_fitted(held_out_views(self.geometry.bounds, n_views, resolution, seed))
         settings = {"spp": spp, "seed": seed, "light": "direct", "reference": self.config.reference.transport}
         return compare_renderings(
             Rendering(self.geometry, self._renderer(spp)),

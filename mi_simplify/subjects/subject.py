@@ -23,6 +23,7 @@ from ..scenes.load import load_asset
 from ..scenes.read_mitsuba import SceneAsset
 from ..scenes.reference import Reference, make_reference
 from ..scenes.samples import sample_asset
+from ..scenes.views import Views
 
 
 class Subject:
@@ -92,6 +93,16 @@ class Subject:
         """
         return reference_for(self.frame.normalised(self.geometry), self.config)
 
+    def lit_as_fitted(self, views: Views) -> Views:
+        """
+        Views in the units of the input under the static light of the configuration, where it has one.
+        """
+        light = self.config.views.light
+        if light.position is None:
+            return views
+        place = np.asarray(light.position) / self.frame.scale + self.frame.center
+        return views.lit_from(place, self.frame.center, light.irradiance)
+
     def judge(
         self,
         candidates: Mapping[str, Asset],
@@ -144,7 +155,12 @@ def open_subject(config: Config) -> Subject:
         from .images import ImageSubject
 
         return ImageSubject(config)
-    return Subject(config, open_asset(name))
+    geometry = open_asset(name)
+    if config.reference.renderer != "mitsuba" or config.reference.command is not None:
+        from .external import ExternalSubject
+
+        return ExternalSubject(config, geometry)
+    return Subject(config, geometry)
 
 
 def reference_for(asset: Asset, config: Config) -> Reference:
