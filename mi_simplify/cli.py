@@ -116,6 +116,13 @@ def cli() -> None:
 @click.argument("asset")
 @click.option("--triangles", "-n", type=click.IntRange(min=4), help="Triangle budget of the result.")
 @click.option("--init", metavar="MESH", help="Start from this low-poly mesh file, or from a 'sphere'.")
+@click.option(
+    "--mode",
+    type=click.Choice(["mesh", "cards", "auto"]),
+    default="mesh",
+    show_default=True,
+    help="What the result is made of: one surface, textured cards for foliage, or what suits the asset.",
+)
 @_KEEP_UV
 @_OUT
 @click.option("--config", metavar="YAML", help="Settings to start from.")
@@ -125,7 +132,7 @@ def cli() -> None:
 @_TENSORBOARD
 @_DRY_RUN
 @_QUIET
-def simplify(asset, triangles, init, keep_uv, out, config, settings, **options) -> None:
+def simplify(asset, triangles, init, mode, keep_uv, out, config, settings, **options) -> None:
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
     an implicit surface.
@@ -135,7 +142,29 @@ def simplify(asset, triangles, init, keep_uv, out, config, settings, **options) 
         initial |= {"kind": "sphere", "mesh": None} if init == "sphere" else {"kind": "mesh", "mesh": init}
     if keep_uv:
         initial["keep_uv"] = True
+    if mode != "mesh":
+        if init is not None:
+            raise click.UsageError(f"--mode {mode} makes a first guess of its own, so it does not go with --init")
+        initial |= {"kind": _mode(mode, asset, triangles, config, settings, options)}
     _run(config, out or _default_folder(asset), [*settings, {"asset": asset, "initial": initial}], **options)
+
+
+def _mode(mode: str, asset: str, triangles: int | None, config, settings, options) -> str:
+    """The kind of first guess for a mode; says what was found where that decides."""
+    if mode == "cards":
+        return "cards"
+    from .config import load_config
+
+    given: dict[str, Any] = {} if triangles is None else {"initial": {"triangles": triangles}}
+    wanted = load_config(config, [*settings, {"asset": asset}, given], options["preset"])
+    _prepare(options["variant"])
+    from .initial import is_aggregate
+    from .subjects import open_subject
+
+    why = is_aggregate(open_subject(wanted).geometry, wanted.initial.triangles or 3000)
+    if not options["quiet"]:
+        print(f"aggregate geometry: {why}: cards" if why else "no aggregate geometry: one surface")
+    return "cards" if why else "decimate"
 
 
 @cli.command()
@@ -346,6 +375,33 @@ def render(asset, out, resolution, spp, azimuth, elevation, variant) -> None:
         open_asset(asset), spp=spp, resolution=resolution, azimuth=azimuth, elevation=elevation, **settings
     )
     picture.save_picture(image, out)
+
+
+@cli.command()
+@click.argument("config")
+@_OUT
+@click.option("--instances", type=click.IntRange(1, 1_000_000), help="How many copies, instead of what CONFIG says.")
+@click.option("--environment", metavar="HDR", help="Environment map, instead of what CONFIG says.")
+@click.option("--gpu-instancing", is_flag=True, help="Also write the copies as GLB files (EXT_mesh_gpu_instancing).")
+@_OVERWRITE
+@_QUIET
+def forest(config, out, instances, environment, gpu_instancing, overwrite, quiet) -> None:
+    """
+    Path trace thousands of copies of the plants in the YAML file CONFIG, and of their approximations.
+    """
+    from .config.forest import load_forest
+
+    wanted = load_forest(config)
+    changes = {"instances": instances, "environment": environment and str(Path(environment).resolve())}
+    wanted = wanted.model_copy(update={key: value for key, value in changes.items() if value is not None})
+    _prepare(None)
+    from .forest import render_forest, summary
+
+    folder = out or _default_folder(config)
+    with _progress(quiet) as progress:
+        figures = render_forest(wanted, folder, progress, gpu_instancing=gpu_instancing, overwrite=overwrite)
+    if not quiet:
+        print(summary(figures, folder))
 
 
 @cli.command()

@@ -25,7 +25,7 @@ LOG = "log.jsonl"
 CHECKPOINT = "checkpoint"
 MARKS = (
     "config.yaml", "metrics.json", LOG, CHECKPOINT, "preview.png", "tensorboard",
-    "model.glb", "model.obj", "model.usdc",
+    "model.glb", "model.obj", "model.usdc", "forest.json",
 )  # fmt: skip
 """What only a run of ours leaves behind; a folder with one of these holds a run."""
 

@@ -45,7 +45,7 @@ def load_config(
     ConfigError
         One line with the dotted path: unknown key (and the nearest one), wrong type, out of range.
     """
-    layers = [] if path is None else [_resolve_paths(_read_yaml(Path(path)), Path(path).resolve().parent)]
+    layers = [] if path is None else [_resolve_paths(read_yaml(Path(path)), Path(path).resolve().parent)]
     for item in overrides:
         layer = parse_override(item) if isinstance(item, str) else dict(item)
         layers.append(_resolve_paths(layer, Path.cwd()))
@@ -131,7 +131,15 @@ def _parse_yaml(text: str, origin: str) -> Any:
         raise ConfigError(f"{origin}{where}: not valid YAML: {problem:.200}") from None
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path) -> dict[str, Any]:
+    """
+    The top level of a YAML file.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, is no YAML, or holds no mapping.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -34,7 +34,7 @@ def prefiltering(target: int) -> dict[str, Any]:
 
 
 STARTS: dict[str, dict[str, Any]] = {
-    # By `initial.kind`; the last for a `transforms.json`.
+    # By `initial.kind`; `images` for a `transforms.json`.
     # A sphere has a long way to go: outlines pull most, on the surface as a whole, coarse to fine.
     "sphere": {
         "initial": {"textures": "constant"},
@@ -54,5 +54,14 @@ STARTS: dict[str, dict[str, Any]] = {
             "large_steps": {"lambda_": 10.0},
         },
         "loss": {"coverage": 10.0, "laplacian": {"weight": 0.0}},
+    },
+    # Foliage: the paper's squared error on radiance, and no gloss, which the normals of many leaves would blur.
+    "cards": {
+        "latent": {
+            "optimize": ["vertices", "base_color", "opacity", "roughness", "normal"],
+            "min_roughness": 0.6,
+        },
+        "optimizer": {"rates": {"vertices": 0.002, "base_color": 0.01, "specular": 0.005, "normal": 0.01}},
+        "loss": {"image": "l2", "coverage": 1.0, "laplacian": {"weight": 1.0}},
     },
 }

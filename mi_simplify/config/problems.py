@@ -33,23 +33,26 @@ def dotted_keys(model: type[BaseModel] = Config, prefix: str = "") -> Iterator[s
             yield prefix + name
 
 
-def _unknown_key(location: tuple[str, ...]) -> str:
+def _unknown_key(location: tuple[str, ...], schema: type[BaseModel]) -> str:
     """The sentence for a key that the schema lacks, with the nearest one that it has."""
-    model: type[BaseModel] = Config
+    model = schema
     for section in location[:-1]:
-        model = model.model_fields[section].annotation  # type: ignore[assignment]
+        kind = model.model_fields[section].annotation if section in model.model_fields else None
+        if not (isinstance(kind, type) and issubclass(kind, BaseModel)):  # within a list
+            return f"{'.'.join(location)}: unknown key"
+        model = kind
     name = location[-1]
     hint = nearest(name, model.model_fields)
     if not hint:  # perhaps right but in another section
-        elsewhere = {key.rpartition(".")[2]: key for key in dotted_keys()}
+        elsewhere = {key.rpartition(".")[2]: key for key in dotted_keys(schema)}
         match = difflib.get_close_matches(name, list(elsewhere), n=1, cutoff=0.6)
         hint = f", did you mean '{elsewhere[match[0]]}'?" if match else f"; known here: {', '.join(model.model_fields)}"
     return f"{'.'.join(location)}: unknown key{hint}"
 
 
-def describe(error: ValidationError) -> str:
+def describe(error: ValidationError, schema: type[BaseModel] = Config) -> str:
     """
-    One line for all problems that pydantic found, at most three of them spelled out.
+    One line for all problems that pydantic found in what should be of a schema, at most three of them spelled out.
     """
     lines = []
     for problem in error.errors():
@@ -57,7 +60,7 @@ def describe(error: ValidationError) -> str:
         path = ".".join(location) or "configuration"
         kind, given = problem["type"], problem["input"]
         if kind == "extra_forbidden":
-            lines.append(_unknown_key(location))
+            lines.append(_unknown_key(location, schema))
         elif kind == "missing":
             lines.append(f"{path}: missing, it has no default")
         elif kind in ("model_type", "model_attributes_type"):

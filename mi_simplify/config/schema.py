@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from .ambient import Ambient
 from .images import Images
 from .implicit import Implicit
+from .opacity import Opacity
 from .section import FilePath as FilePath
 from .section import PathMark as PathMark
 from .section import Section as Section
@@ -87,8 +88,10 @@ class Reference(Section):
 class Initial(Section):
     """The first guess."""
 
-    kind: Literal["decimate", "sphere", "mesh"] = Field(
-        "decimate", description="Decimate the asset, start from a sphere, or take the mesh of a file."
+    kind: Literal["decimate", "cards", "sphere", "mesh"] = Field(
+        "decimate",
+        description="Decimate the asset, put its leaves on textured cards, start from a sphere, or take the mesh of a "
+        "file.",
     )
     triangles: int | None = Field(
         None, ge=4, description="Triangle budget of the result; none: 3000, or as many as `mesh` has."
@@ -293,6 +296,7 @@ class Config(Section):
     images: Images = Images()
     initial: Initial = Initial()
     latent: Latent = Latent()
+    opacity: Opacity = Opacity()
     views: Views = Views()
     optimizer: Optimizer = Optimizer()
     loss: Loss = Loss()

@@ -49,13 +49,21 @@ class Fit:
     def __init__(self, model: Model, reference: Reference, config: Config):
         self.config, self.first_guess = config, model
         optimize, rates = set(config.latent.optimize), config.optimizer.rates
+        transparent = model.alpha_mode != "OPAQUE"
+        if not transparent:
+            optimize.discard("opacity")
         extended = optimize & {"opacity", "gamma"} or model.alpha_mode != "OPAQUE" or model.specular[..., 0].any()
         self.latent = Latent(model, extended=bool(extended), mips=config.latent.mips)
         base = self.latent.operation.base
         matched = config.reference.transport == "matched"
         self.renderer = DeferredRenderer(
-            self.latent.topology, form=config.latent.shading, shadows=matched, shade=config.optimizer.shade
-        )
+            self.latent.topology, form=config.latent.shading, shadows=matched,
+            shade="sample" if transparent else config.optimizer.shade,
+            layers=config.opacity.layers if transparent else 1,
+        )  # fmt: skip
+        self.latent.textures.cutoff = model.alpha_cutoff
+        self.beyond = 0.0
+        """Share of what :meth:`judge` saw last that lies behind more layers than were looked at."""
         large_steps = config.optimizer.large_steps
         diffusion = large_steps.lambda_ if large_steps.enabled else 0.0
         self.shape = ShapeSteps(self.latent.operation, optimize, dict(rates), diffusion)
@@ -108,6 +116,7 @@ class Fit:
         ambient = self.ambient.leaf()
         seed = dr.opaque(mi.UInt32, (config.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
 
+        self._cut(config.opacity.steepness**progress)
         pose = self.shape.pose(views)
         self.renderer.move(dr.detach(pose.positions))
         surface = self.latent.evaluate(pose.positions)
@@ -128,6 +137,11 @@ class Fit:
         self.shape.step(pose, factor)
         self.ambient.step(ambient, factor)
         return loss
+
+    def _cut(self, steepness: float) -> None:
+        """How steeply a mask is cut from now on."""
+        if self.first_guess.alpha_mode == "MASK":
+            self.latent.textures.steepness = dr.opaque(mi.Float, steepness)
 
     def _laplacian_weight(self, loss: mi.Float, progress: float) -> mi.Float:
         laplacian = self.config.loss.laplacian
@@ -157,12 +171,16 @@ class Fit:
     def _look(self, views: Views, seed: int = 1) -> np.ndarray:
         """The current state from some views, shape (B, H, W, 4), without what the reference alone computes."""
         out = np.empty((len(views), views.height, views.width, 4), np.float32)
+        self._cut(_STEP)
+        beyond = 0.0
         for index, part in views.by_frame():
             _, surface = self._moved(part)
             with dr.suspend_grad():
                 lit, opaque_seed = part.under(self.ambient.value), dr.opaque(mi.UInt32, seed)
                 frame = self.renderer.render(surface, self.latent.textures, lit, spp=16, seed=opaque_seed)
             out[index] = frame.image.numpy().T.reshape(len(part), *out.shape[1:])
+            beyond += 0.0 if frame.beyond is None else float(dr.sum(frame.beyond)[0])
+        self.beyond = beyond / max(float(out[..., 3].sum()), 1e-12)
         return out
 
     def preview(self) -> tuple[np.ndarray, np.ndarray]:
@@ -280,6 +298,9 @@ REFRESH_EVERY = 16
 #: Renderings of the held-out views that are averaged, by the reference (each of ``reference.spp``) and of the current
 #: state (each of 16 samples): their noise must be less than what a step near the optimum gains.
 _HELD_OUT_RENDERS, _HELD_OUT_LOOKS = 4, 2
+
+#: Steepness of a mask that is judged: nearly what files show.
+_STEP = 64.0
 
 #: Samples per pixel up to which they are doubled: few are quicker, but their noise is no longer small beside what is
 #: left to gain near the optimum, and a loss that is not quadratic takes it for error.

@@ -2,6 +2,8 @@
 
 from .bake import Baked as Baked
 from .bake import bake as bake
+from .cards import cards as cards
+from .cards import is_aggregate as is_aggregate
 from .cleanup import Soup as Soup
 from .cleanup import clean as clean
 from .cleanup import merge as merge
@@ -12,5 +14,6 @@ from .sphere import sphere as sphere
 from .unwrap import unwrap as unwrap
 
 __all__ = [
-    "Baked", "Soup", "bake", "clean", "decimate", "first_guess", "merge", "quadrics_only", "sphere", "unwrap",
+    "Baked", "Soup", "bake", "cards", "clean", "decimate", "first_guess", "is_aggregate", "merge", "quadrics_only",
+    "sphere", "unwrap",
 ]  # fmt: skip

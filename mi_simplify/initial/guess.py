@@ -16,6 +16,7 @@ from ..latent.model import Mesh, Model
 from ..runtime import ensure_variant
 from ..scenes.asset import Asset
 from .bake import bake
+from .cards import cards
 from .cleanup import clean, merge
 from .closest import ClosestPoints
 from .decimate import decimate
@@ -25,7 +26,7 @@ from .unwrap import unwrap
 
 log = logging.getLogger("mi_simplify")
 
-KINDS = ("decimate", "sphere", "mesh")
+KINDS = ("decimate", "cards", "sphere", "mesh")
 TEXTURES = ("bake", "constant", "random")
 
 
@@ -45,6 +46,7 @@ def first_guess(
     padding: int = 4,
     time_limit: float = 60.0,
     crease_angle: float = 20.0,
+    output: str = "mask",
 ) -> tuple[Model, list[str]]:
     """
     A model to start from.
@@ -61,8 +63,9 @@ def first_guess(
         Ray-cast from the asset; its mean; uniform noise. The last two have a flat normal map.
     seed : int
         Of the noise.
-    kind : {'decimate', 'sphere', 'mesh'}
-        Quadric edge collapse of the asset; an ellipsoid in its bounding box; the mesh of ``init``.
+    kind : {'decimate', 'cards', 'sphere', 'mesh'}
+        Quadric edge collapse of the asset; textured quads, see :func:`.cards.cards`; an ellipsoid in its bounding box;
+        the mesh of ``init``.
     init : Asset, optional
         Low-poly mesh in the frame of ``asset``, for ``kind="mesh"``. UVs without overlap are kept.
     keep_uv : bool
@@ -80,6 +83,8 @@ def first_guess(
         Seconds that the unwrapping may take.
     crease_angle : float
         Edges of the reduced mesh that turn by more get two normals [degrees]; 180 has none.
+    output : {'mask', 'blend', 'opaque'}
+        How cards are transparent.
 
     Returns
     -------
@@ -95,6 +100,9 @@ def first_guess(
     if kind not in KINDS or textures not in TEXTURES:
         raise ValueError(f"kind must be one of {KINDS}, textures one of {TEXTURES}; got {kind!r}, {textures!r}")
     notes = list(asset.notes)
+    if kind == "cards":
+        model, more = cards(asset, _budget(triangles), atlas_size=atlas_size, samples=samples, output=output)
+        return model, _told(notes + more)
     if kind == "mesh":
         if init is None:
             raise MeshError("a start from a mesh needs one: name the file")
@@ -115,15 +123,13 @@ def first_guess(
             keep_uv=keep_uv, atlas_size=atlas_size, padding=padding, time_limit=time_limit, crease_angle=crease_angle,
         )  # fmt: skip
     else:
-        if triangles is None:
-            raise MeshError("a budget of triangles is needed: name it")
         if kind == "decimate":
-            positions, faces, more = reduced(asset, triangles)
+            positions, faces, more = reduced(asset, _budget(triangles))
             notes += more
         else:
             low, high = asset.bounds
             half = np.maximum((high - low) / 2, 0.05 * (high - low).max())
-            positions, faces = sphere(triangles)
+            positions, faces = sphere(_budget(triangles))
             positions = positions * half + (low + high) / 2
         mesh, more = unwrap(
             positions, faces, atlas_size=atlas_size, padding=padding, time_limit=time_limit, crease_angle=crease_angle
@@ -141,9 +147,19 @@ def first_guess(
         if oversample > 1:
             images = filtered_levels(**images)[oversample.bit_length() - 2]
         model = replace(model, alpha_mode=mode, alpha_cutoff=cutoff, **images)
+    return model, _told(notes)
+
+
+def _budget(triangles: int | None) -> int:
+    if triangles is None:
+        raise MeshError("a budget of triangles is needed: name it")
+    return triangles
+
+
+def _told(notes: list[str]) -> list[str]:
     for line in notes:
         log.info("first guess: %s", line)
-    return model, notes
+    return notes
 
 
 def quadrics_only(asset: Asset, triangles: int, *, atlas_size: int = 1024) -> tuple[Model, list[str]]:

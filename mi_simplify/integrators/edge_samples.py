@@ -27,8 +27,9 @@ class EdgeSet:
     crease_weight : float
         Samples a pixel of crease gets for one that a pixel of silhouette gets: jumps there are small.
     positions : ndarray, shape (P, 3), optional
-        Of an opaque mesh: where it is a closed solid and the camera stays out of its box, no crease between two back
-        faces is seen, and none is sampled.
+    opaque : bool
+        Nothing is seen through the mesh at ``positions``: where it is a closed solid and the camera stays out of its
+        box, no crease between two back faces is seen, and none is sampled.
     """
 
     rows: mi.UInt32
@@ -45,6 +46,7 @@ class EdgeSet:
         *,
         crease_weight: float = 0.25,
         positions: np.ndarray | None = None,
+        opaque: bool = True,
     ):
         self.n_edges, self.crease_weight, self.solid_box = len(table.ends), crease_weight, None
         rows, kind = np.concatenate([table.ends, table.faces], axis=1), table.kind
@@ -57,7 +59,7 @@ class EdgeSet:
         self.rows = upload(mi.UInt32, rows.ravel())
         self.kind = upload(mi.UInt32, kind)
         self.faces = upload(mi.Vector3u, position_faces)
-        if positions is not None and table.closed and wound_outwards(positions, position_faces):
+        if opaque and positions is not None and table.closed and wound_outwards(positions, position_faces):
             low, high = positions.min(0), positions.max(0)
             margin = 0.1 * np.linalg.norm(high - low)  # for what the mesh grows by later
             self.solid_box = (*(low - margin).tolist(), *(high + margin).tolist())
@@ -302,17 +304,18 @@ class EdgeSamples:
 class EdgeRays:
     """
     Camera rays that pass edge samples: ray 2i on the low side of sample i, ray 2i + 1, nearly the same, on the high
-    side.
+    side. They pass ``width`` steps off it.
     """
 
     cameras: Cameras
     samples: EdgeSamples
+    width: float = 1.0
 
     def at(self, index: mi.UInt32) -> tuple[mi.UInt32, mi.Point3f, mi.Vector3f]:
         """View, origin and unit direction of some of the rays."""
         e, i = self.samples, index // 2
         take = lambda a: dr.gather(type(a), a, i)  # noqa: E731
-        side = mi.Float(mi.Int32(index - 2 * i) * 2 - 1) * take(e.step)
+        side = mi.Float(mi.Int32(index - 2 * i) * 2 - 1) * (take(e.step) * self.width)
         view = take(e.view)
         x, y = dr.fma(side, take(e.nx), take(e.x)), dr.fma(side, take(e.ny), take(e.y))
         return view, *self.cameras.ray(view, x, y)

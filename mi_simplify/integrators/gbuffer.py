@@ -24,17 +24,34 @@ class Hits:
 
     Parameters
     ----------
-    ray : mi.UInt32, width N
-        Which of the rays that were traced.
+    slot : mi.UInt32, width N
+        Which of the places for hits, ascending; every ray that was traced has ``layers`` of them.
     face : mi.UInt32
-        Triangle of *every* ray that was traced.
+        Triangle of *every* slot.
     lit : mi.Bool, width N, optional
         Whether the light reaches the hit; without shadows None.
+    layers : int
+        Hits of a ray at most, front to back.
+    first, count : mi.UInt32, width M, optional
+        Of the rays that hit anything: where their hits begin among the N, and how many they are; None with one layer.
     """
 
-    ray: mi.UInt32
+    slot: mi.UInt32
     face: mi.UInt32
     lit: mi.Bool | None
+    layers: int = 1
+    first: mi.UInt32 | None = None
+    count: mi.UInt32 | None = None
+
+    @property
+    def ray(self) -> mi.UInt32:
+        """Which of the rays that were traced, width N."""
+        return self.slot if self.layers == 1 else self.slot // self.layers
+
+    @property
+    def front_ray(self) -> mi.UInt32:
+        """The rays that hit anything, width M."""
+        return dr.gather(mi.UInt32, self.slot, self.first) // self.layers
 
 
 @dataclass

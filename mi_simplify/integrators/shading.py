@@ -102,7 +102,7 @@ def shade_hits(
         Of the texture lookup.
     """
     view, origin, direction = rays.at(hits.ray)
-    hit = fragment(surface, dr.gather(mi.UInt32, hits.face, hits.ray), origin, direction)
+    hit = fragment(surface, dr.gather(mi.UInt32, hits.face, hits.slot), origin, direction)
     level = None
     if textures.n_levels > 1:
         # Of a whole pixel, however many samples it has: that is what viewers filter textures for.

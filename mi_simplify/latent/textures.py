@@ -189,6 +189,9 @@ class Textures:
     n_levels: int
     offsets: mi.UInt32
     mips: str
+    steepness: mi.Float | None
+    """What is stored as opacity is cut at ``cutoff`` with this slope, width 1; None: it is the opacity."""
+    cutoff: float
 
     def __init__(
         self,
@@ -200,7 +203,8 @@ class Textures:
         coarser: Sequence[dict[str, np.ndarray]] = (),
     ):
         self.height, self.width = base_color.shape[:2]
-        self.n_channels, self.mips = 12 if extended else 8, mips
+        self.n_channels, self.mips, self.steepness = 12 if extended else 8, mips, None
+        self.cutoff = 0.5
         self.n_levels = 1 if mips == "none" else n_levels(self.height, self.width)
         sizes = [self.size(k) for k in range(self.n_levels)]
         first = np.cumsum([0] + [-(-w // TILE) * -(-h // TILE) * TILE**2 for h, w in sizes])
@@ -404,6 +408,22 @@ class Textures:
             roughness=value[3],
             metallic=value[4],
             normal=mi.Vector3f(value[5], value[6], value[7]),
-            opacity=value[8] if extended else mi.Float(1),
+            opacity=self._cut(value[8]) if extended else mi.Float(1),
             gamma=value[9] if extended else mi.Float(0),
         )
+
+    def opacity(self, u: mi.Float, v: mi.Float, active: mi.Bool | bool = True) -> mi.Float:
+        """
+        That of the finest level alone, as :meth:`unpack` has it; detached.
+        """
+        if not self.extended:
+            return mi.Float(1)
+        data, footprint = dr.detach(self.data), self._around(u, v)
+        a, b, c, d = (dr.gather(mi.Float, data, i * self.n_channels + 8, active) for i in footprint.index)
+        return self._cut(dr.lerp(dr.lerp(a, b, footprint.fx), dr.lerp(c, d, footprint.fx), footprint.fy))
+
+    def _cut(self, opacity: mi.Float) -> mi.Float:
+        """Opacity between a ramp and a step, see ``steepness``."""
+        if self.steepness is None:
+            return opacity
+        return dr.clip(dr.fma(opacity - self.cutoff, self.steepness, 0.5), 0, 1)

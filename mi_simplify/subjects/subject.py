@@ -62,7 +62,7 @@ class Subject:
         """
         initial, frame = self.config.initial, self.frame
         asset = frame.normalised(self.geometry if initial.source is None else load_asset(initial.source))
-        if initial.kind == "decimate" and isinstance(asset, SceneAsset):
+        if initial.kind in ("decimate", "cards") and isinstance(asset, SceneAsset):
             asset.require_triangles()
         model, notes = first_guess(
             asset,
@@ -76,6 +76,7 @@ class Subject:
             oversample=initial.oversample,
             seed=self.config.seed,
             crease_angle=initial.crease_angle,
+            output=self.config.opacity.cards,
         )
         return replace(model, ambient=self.ambient), notes
 

@@ -34,6 +34,7 @@ class Batched:
         self.views = scene.views()
         self.topology = MeshTopology(scene.mesh, density=mips != "none")
         self.renderer = DeferredRenderer(self.topology, **options)
+        self.steepness: float | None = None
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -43,7 +44,10 @@ class Batched:
     def _textures(self, state: State) -> Textures:
         base = np.concatenate([state["base_color"], state["opacity"]], axis=2)
         specular = np.concatenate([state["gamma"], state["roughness"], state["metallic"]], axis=2)
-        return Textures(base, specular, state["normal"], extended=True, mips=self.mips)
+        textures = Textures(base, specular, state["normal"], extended=True, mips=self.mips)
+        if self.steepness is not None:
+            textures.steepness = dr.opaque(mi.Float, self.steepness)
+        return textures
 
     def _views(self, state: State) -> Views:
         arrays = self.views.arrays()

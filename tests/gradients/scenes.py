@@ -233,6 +233,22 @@ def _overlapping() -> tuple[Mesh, ...]:
     return left, meshes.placed(meshes.torus(18, 10), 0.8, (0.2, 0.1, -0.2), (0.5, 1))
 
 
+def _cards() -> tuple[Mesh, ...]:
+    """Six tilted quads behind each other that do not cut through each other, some wound away from the camera."""
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    out = []
+    for k in range(6):
+        tilt, turn = 0.12 * np.sin(2.1 * k + 1), 0.7 * k
+        about_x = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
+        about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+        p = 0.42 * corners @ about_x.T @ about_z.T
+        p = p + [0.22 * np.cos(1.9 * k), 0.2 * np.sin(2.6 * k), 0.24 * (k - 2.5)]
+        uvs = ((corners[:, :2] * 0.46 + 0.5) + [k % 3, k // 3]) / [3, 2]
+        faces = np.array([[0, 1, 2], [0, 2, 3]])
+        out.append(Mesh(p, np.arange(4), np.float32(uvs), faces[:, ::-1] if k % 2 else faces))
+    return tuple(out)
+
+
 def _close_up() -> Scene:
     mesh = meshes.sphere(100, 101)
     whole = Scene("", (mesh,), _camera((0, 0.6, -3)), (64, 48))
@@ -286,6 +302,7 @@ _BUILD: dict[str, Callable[[], Scene]] = {
         step=0.1,
     ),
     "20k triangles, close-up": _close_up,
+    "cards": lambda: Scene("cards", _cards(), _camera((0.3, 0.4, -3), (1.4, 0.3, 2.7)), (64, 48), waves=6, effort=2),
     "objects that cut through each other": lambda: Scene(
         "objects that cut through each other", _overlapping(), _camera((0.3, 0.5, -3), (1.6, 0.3, -2.6)), (64, 48)
     ),
