@@ -79,5 +79,8 @@ def test_a_small_forest_from_the_command_line(tmp_path, capsys):
     assert figures["psnr"] == pytest.approx(figures["noise_psnr"], abs=0.5) and figures["psnr"] > 20
     assert {p.name for p in out.iterdir()} == {"original.png", "approximation.png", "forest.json", "forest_0.glb"}
     assert len(load_asset(out / "forest_0.glb").instances) == 20
-    assert cli.main(["forest", str(tmp_path / "forest.yaml"), "-o", str(out), "--environment", "none.hdr"]) == 2
+    again = ["forest", str(tmp_path / "forest.yaml"), "-o", str(out)]
+    assert cli.main(again) == 2
+    assert "already holds a run" in capsys.readouterr().err
+    assert cli.main([*again, "--overwrite", "--environment", "none.hdr"]) == 2
     assert "none.hdr" in capsys.readouterr().err
