@@ -1,7 +1,7 @@
 """
 Plants on cards: against what else makes them as small, path traced under light that no fit has seen.
 
-    python benchmarks/foliage.py --environment sky.hdr -o out/foliage            # both plants: cards fitted, then judged
+    python benchmarks/foliage.py --environment sky.hdr -o out/foliage  # both plants: fitted, then judged
     python benchmarks/foliage.py --plant sample:shrub --triangles 9600 --only fit -o out/foliage
 
 Candidates of equal triangles: the fitted cards and their first guess, quadric decimation with colours carried over, and
