@@ -26,7 +26,7 @@ LONGEST = 4000
 MAX_PRIMS = 1_000_000
 
 #: How the worker ends where the system does not end it.
-_OPENED, _NO_MEMORY, _TOO_MANY = 0, 3, 4
+_OPENED, _NO_MEMORY, _TOO_MANY, _REFUSED = 0, 3, 4, 5
 
 
 def rehearse(path: Path) -> None:
@@ -38,16 +38,19 @@ def rehearse(path: Path) -> None:
     MemoryLimitError
         It takes more memory than is left.
     AssetError
-        It ends the process, takes minutes, or has more than ``MAX_PRIMS`` prims.
+        It cannot be read, ends the process, takes minutes, or has more than ``MAX_PRIMS`` prims.
     """
     room = memory.left()
     time_limit = 60 + path.stat().st_size / 1e6
     command = [sys.executable, "-m", __name__, str(path.absolute()), str(room or 0)]
     try:
-        code = subprocess.run(command, capture_output=True, timeout=time_limit, check=False).returncode
+        done = subprocess.run(command, capture_output=True, timeout=time_limit, check=False)
     except subprocess.TimeoutExpired:
         message = f"{path.name}: USD takes longer than {time_limit:.0f} s to open it; simplify the file"
         raise AssetError(message) from None
+    code = done.returncode
+    if code == _REFUSED:
+        raise AssetError(done.stdout.decode(errors="replace").strip())
     if code == _NO_MEMORY:
         shown = "there is" if room is None else f"the {memory.shown_size(room)} that are left"
         raise MemoryLimitError(f"{path.name}: USD needs more memory than {shown} to open it; simplify the file")
@@ -114,8 +117,11 @@ def _space_of(found: re.Match) -> str:
     return " " if found[0].isspace() else ""
 
 
-def _work(path: str, room: int) -> int:
-    """The worker: how it ends says what opening costs; errors are left to the process that asks."""
+def _work(path: str, room: int) -> tuple[int, str]:
+    """
+    The worker: how it ends says what opening costs; what is wrong with the file is said, since a damaged one may take
+    gigabytes before that is found.
+    """
     if room:
         try:
             import resource
@@ -132,13 +138,19 @@ def _work(path: str, room: int) -> int:
         stage = Usd.Stage.Open(path)
         for n, _ in enumerate(stage.Traverse(Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate))):
             if n > MAX_PRIMS:
-                return _TOO_MANY
+                return _TOO_MANY, ""
     except MemoryError:
-        return _NO_MEMORY
-    except (UserError, Tf.ErrorException, RuntimeError, ValueError, LookupError, TypeError):
+        return _NO_MEMORY, ""
+    except UserError as error:
+        return _REFUSED, str(error)
+    except Tf.ErrorException as error:
+        return _REFUSED, f"{Path(path).name}: USD cannot read it: {reason_of(error)}"
+    except (RuntimeError, ValueError, LookupError, TypeError):  # the process that asks meets it again
         pass
-    return _OPENED
+    return _OPENED, ""
 
 
 if __name__ == "__main__":
-    sys.exit(_work(sys.argv[1], int(sys.argv[2])))
+    _code, _said = _work(sys.argv[1], int(sys.argv[2]))
+    sys.stdout.buffer.write(_said.encode(errors="replace"))
+    sys.exit(_code)

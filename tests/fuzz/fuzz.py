@@ -122,17 +122,24 @@ class Rehearsal:
     def _serve(asked) -> None:
         while True:
             path, room = asked.recv()
+            there, here = os.pipe()
             worker = os.fork()
             if not worker:
                 signal.alarm(round(2 * LONGEST))  # when nobody waits any more
-                os._exit(usd_layers._work(path, room))
-            asked.send(os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1]))
+                code, said = usd_layers._work(path, room)
+                os.write(here, said.encode(errors="replace"))
+                os._exit(code)
+            os.close(here)
+            code = os.waitstatus_to_exitcode(os.waitpid(worker, 0)[1])
+            with os.fdopen(there, "rb") as pipe:
+                asked.send((code, pipe.read()))
 
     def run(self, command: list[str], *, timeout: float, **_) -> types.SimpleNamespace:
         """How the worker ended; USD has hung if it does not within ``LONGEST``, which the fuzzer sees."""
         *_, path, room = command
         self._here.send((path, int(room)))
-        return types.SimpleNamespace(returncode=self._here.recv())
+        code, said = self._here.recv()
+        return types.SimpleNamespace(returncode=code, stdout=said)
 
 
 def _work(numbers: range, arguments: argparse.Namespace, current, results) -> None:
