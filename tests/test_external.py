@@ -19,7 +19,7 @@ from mi_simplify.subjects import open_subject
 from mi_simplify.subjects.command import CommandReference
 
 #: A renderer in a few lines: a ball of radius 0.8, diffuse, white, as what is lit by the light of each frame.
-RENDERER = '''
+RENDERER = """
 import json, sys
 from pathlib import Path
 import numpy as np
@@ -47,7 +47,7 @@ for frame in document["frames"]:
     frame["file_path"] = frame["file_path"].replace(".exr", ".png")
     Image.fromarray(np.uint8(np.clip(rgba, 0, 1) * 255)).save(path.parent / frame["file_path"])
 path.write_text(json.dumps(document))
-'''
+"""
 
 
 def ball(roughness=1.0, metallic=0.0, uvs=False) -> Asset:
