@@ -20,7 +20,7 @@ from . import __version__
 from .config import Config
 from .errors import OutputError
 from .export.files import make_folder, write_atomic
-from .latent.model import Mesh, Model
+from .latent.model import Displacement, Mesh, Model
 from .scenes.asset import Asset
 
 log = logging.getLogger("mi_simplify")
@@ -86,8 +86,11 @@ class Checkpoint:
             leftover.unlink(missing_ok=True)
         self._guess = self._read(GUESS)
         self._recognise(self._guess["identity"])
-        model = self._guess["model"]
-        guess = Model(**{**model, "mesh": Mesh(**model["mesh"])})
+        model = {**self._guess["model"]}
+        model["mesh"] = Mesh(**model["mesh"])
+        if model["displacement"] is not None:
+            model["displacement"] = Displacement(**model["displacement"])
+        guess = Model(**model)
         return guess, self._guess["notes"], self._read(STATE) if (self.folder / STATE).exists() else None
 
     def _read(self, name: str) -> dict:

@@ -40,7 +40,7 @@ def _distinct(value: tuple) -> tuple:
 
 Pixels = Annotated[int, Field(ge=8, le=8192)]
 Resolutions = Annotated[tuple[Pixels, ...], BeforeValidator(_as_list), AfterValidator(_not_empty)]
-Quantity = Literal["vertices", "base_color", "opacity", "gamma", "roughness", "metallic", "normal"]
+Quantity = Literal["vertices", "displacement", "base_color", "opacity", "gamma", "roughness", "metallic", "normal"]
 Quantities = Annotated[tuple[Quantity, ...], BeforeValidator(_as_list), AfterValidator(_distinct)]
 Format = Literal["glb", "obj", "usd"]
 Formats = Annotated[
@@ -123,6 +123,13 @@ class Initial(Section):
     textures: Literal["bake", "constant", "random"] = Field(
         "bake", description="Sample them from the asset, fill them with its mean, or with noise."
     )
+    subdivisions: int = Field(
+        0,
+        ge=0,
+        le=5,
+        description="Split every triangle in four so many times and displace what comes of it by a map; `triangles` are "
+        "those before.",
+    )
     oversample: Literal[1, 2, 4, 8] = Field(
         1,
         description="Bake textures of so many times the side and filter them down, the spread of the normals below a "
@@ -151,7 +158,8 @@ class Latent(Section):
     """What is optimised, and how it is shaded."""
 
     optimize: Quantities = Field(
-        ("vertices", "base_color", "roughness", "metallic", "normal"), description="Quantities that the fit changes."
+        ("vertices", "displacement", "base_color", "roughness", "metallic", "normal"),
+        description="Quantities that the fit changes; `displacement` only where there is a map.",
     )
     min_roughness: float = Field(0.08, ge=0.01, le=1.0, description="Lower limit of roughness.")
     shading: Literal["gltf", "paper"] = Field(
@@ -195,6 +203,7 @@ class Rates(Section):
     """Learning rates at the start."""
 
     vertices: float = Field(0.001, ge=0, description="Vertex positions: the typical step.")
+    displacement: float = Field(0.0005, ge=0, description="Displacement map: the typical step.")
     base_color: float = Field(0.001, ge=0, description="Base colour and opacity.")
     specular: float = Field(0.001, ge=0, description="Gamma, roughness and metallic.")
     normal: float = Field(0.001, ge=0, description="Normal map.")

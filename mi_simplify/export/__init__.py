@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..errors import OutputError
 from ..latent.model import Model
+from ..latent.tessellation import tessellated
 from .files import make_folder
 from .gltf import write_glb as write_glb
 from .obj import write_obj as write_obj
@@ -20,6 +21,8 @@ def export_model(
 ) -> dict[str, Path]:
     """
     Write a model in several formats into one folder, which is created where it is missing.
+
+    A displaced model is written as the fine mesh that it stands for; base mesh and map go into ``displacement/``.
 
     Parameters
     ----------
@@ -46,6 +49,11 @@ def export_model(
         raise OutputError(f"unknown export format {unknown[0]!r}: choose from {', '.join(FORMATS)}")
     folder = make_folder(folder)
     paths = {name: folder / FORMATS[name] for name in formats}
+    if model.displacement is not None:
+        from .displacement import write_displacement
+
+        write_displacement(model, make_folder(folder / "displacement"), extras=extras)
+        model = tessellated(model)
     for name, path in paths.items():
         if name == "glb":
             write_glb(model, path, extras=extras)

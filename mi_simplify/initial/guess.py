@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import MeshError
-from ..latent.mips import filtered_levels
-from ..latent.model import Mesh, Model
+from ..latent.mips import filtered_levels, halved
+from ..latent.model import Displacement, Mesh, Model
+from ..latent.tessellation import Tessellation, tessellated
 from ..runtime import ensure_variant
 from ..scenes.asset import Asset
 from .bake import bake
@@ -47,6 +48,7 @@ def first_guess(
     time_limit: float = 60.0,
     crease_angle: float = 20.0,
     output: str = "mask",
+    subdivisions: int = 0,
 ) -> tuple[Model, list[str]]:
     """
     A model to start from.
@@ -85,6 +87,8 @@ def first_guess(
         Edges of the reduced mesh that turn by more get two normals [degrees]; 180 has none.
     output : {'mask', 'blend', 'opaque'}
         How cards are transparent.
+    subdivisions : int
+        Split the faces so many times, and displace what comes of it onto the asset.
 
     Returns
     -------
@@ -136,6 +140,9 @@ def first_guess(
         )
     notes += more
     model = replace(_plain(asset, mesh, atlas_size, textures, seed), name=asset.name)
+    if subdivisions:
+        model = displaced_onto(asset, model, subdivisions)
+        mesh = tessellated(model).mesh
     if textures == "bake":
         baked = bake(asset, mesh, size=atlas_size * oversample, samples=samples if oversample == 1 else 1)
         if baked.missed > 0.05:
@@ -160,6 +167,21 @@ def _told(notes: list[str]) -> list[str]:
     for line in notes:
         log.info("first guess: %s", line)
     return notes
+
+
+def displaced_onto(asset: Asset, model: Model, subdivisions: int) -> Model:
+    """
+    The model with a displacement map that brings its base mesh, subdivided, onto the asset: heights by ray casting.
+
+    The map has about two texels for every position that reads it.
+    """
+    tessellation = Tessellation.of(model.mesh, subdivisions)
+    size = model.base_color.shape[0]
+    height = bake(asset, tessellation.base, size=size, samples=1).height
+    while size % 2 == 0 and (size // 2) ** 2 >= 2 * len(tessellation.mesh.positions):
+        height, size = halved(height), size // 2
+    displacement = Displacement(np.float32(height[..., 0]), subdivisions)
+    return replace(model, mesh=tessellation.base, displacement=displacement)
 
 
 def quadrics_only(asset: Asset, triangles: int, *, atlas_size: int = 1024) -> tuple[Model, list[str]]:

@@ -63,6 +63,23 @@ class Mesh:
 
 
 @dataclass(frozen=True)
+class Displacement:
+    """
+    How a base mesh is split and moved along its normals, see :mod:`.tessellation`.
+
+    Parameters
+    ----------
+    height : ndarray, shape (H, W), float32
+        Displacement along the interpolated unit normal [units of the mesh].
+    subdivisions : int
+        How often every face is split in four.
+    """
+
+    height: np.ndarray
+    subdivisions: int
+
+
+@dataclass(frozen=True)
 class Model:
     """
     Mesh and PBR textures of one material.
@@ -80,6 +97,8 @@ class Model:
     mips : tuple of dict
         Coarser levels of the textures where they are the model's own and not means of the finest: ``base_color``,
         ``specular`` and ``normal``, each half as large as the one before.
+    displacement : Displacement, optional
+        With it ``mesh`` is a base mesh, and the textures belong to what it is displaced into.
     ambient : ndarray, shape (K, 3), float32, optional
         The light besides point lights that it was fitted under, see :mod:`.ambient`.
     """
@@ -93,6 +112,7 @@ class Model:
     name: str = "model"
     mips: tuple[dict[str, np.ndarray], ...] = ()
     ambient: np.ndarray | None = None
+    displacement: Displacement | None = None
 
     @property
     def n_triangles(self) -> int:
@@ -109,7 +129,10 @@ class Model:
         The model with positions ``p * scale + offset`` (uniform scale, so textures stay valid).
         """
         mesh = replace(self.mesh, positions=self.mesh.positions * scale + np.asarray(offset))
-        return replace(self, mesh=mesh)
+        displacement = self.displacement
+        if displacement is not None:
+            displacement = replace(displacement, height=np.float32(displacement.height * scale))
+        return replace(self, mesh=mesh, displacement=displacement)
 
     def taking(self, fitted: Model, quantities: Collection[str]) -> Model:
         """
@@ -137,8 +160,12 @@ class Model:
 
     def as_asset(self) -> Asset:
         """
-        The model as an asset of one part, with the normals that the export writes.
+        The model as an asset of one part, displaced, with the normals that the export writes.
         """
+        if self.displacement is not None:
+            from .tessellation import tessellated
+
+            return tessellated(self).as_asset()
         part = Part(
             vertices=self.mesh.vertices,
             faces=self.mesh.faces,

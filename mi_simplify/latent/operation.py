@@ -74,4 +74,8 @@ def operation_of(model: Model) -> MeshOperation:
     """
     The operation that a model's own fields ask for.
     """
+    if model.displacement is not None:
+        from .displacement import Displaced
+
+        return Displaced(model)
     return Identity(model)

@@ -74,6 +74,7 @@ class Subject:
             keep_uv=initial.keep_uv,
             repair=initial.repair and "vertices" in self.config.latent.optimize,
             oversample=initial.oversample,
+            subdivisions=initial.subdivisions,
             seed=self.config.seed,
             crease_angle=initial.crease_angle,
             output=self.config.opacity.cards,

@@ -1,0 +1,86 @@
+"""
+The displaced surface of a base mesh as a mesh operation: gradients reach base vertices and map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..scenes.views import Views
+from ..upload import upload
+from .model import Model
+from .surface import MeshTopology
+from .tessellation import Tessellation, bilinear
+
+
+class Displaced:
+    """
+    Fine positions ``v + n d(t)``: v and n are interpolated from the base mesh by edge-midpoint subdivision, which is
+    fixed beforehand, and d is the bilinear displacement map at the texture coordinate t (Hasselgren et al. 2021,
+    Sect. 5.1). All of it is computed anew from the parameters, so that gradients reach base vertices and map.
+
+    Where a texture seam runs, a position has two texture coordinates and takes the mean of both, so that no crack opens.
+
+    Parameters
+    ----------
+    model : Model
+        With a displacement; its mesh is the base mesh.
+    """
+
+    def __init__(self, model: Model):
+        displacement = model.displacement
+        assert displacement is not None
+        tessellation = Tessellation.of(model.mesh, displacement.subdivisions)
+        self.base, self._height = tessellation.base, displacement.height
+        self.mesh = replace(tessellation.mesh, positions=tessellation.positions(self.base.positions, self._height))
+        self.parameters = {"displacement": displacement.height.ravel()}
+        self._topology = MeshTopology(self.base)
+        # Of every base position one of its vertices, all of which share its normal.
+        first = np.zeros(len(self.base.positions), np.int64)
+        first[self._topology.mesh.position_index] = np.arange(self._topology.n_vertices)
+        self._vertex = upload(mi.UInt32, first)
+        self._edges = [tuple(upload(mi.UInt32, end) for end in edges.T) for edges in tessellation.position_edges]
+        index, weight = bilinear(self.mesh.uvs, displacement.height.shape)
+        where, n = self.mesh.position_index, len(self.mesh.positions)
+        weight = weight / np.bincount(where, minlength=n)[where][:, None]
+        self._texels = [upload(mi.UInt32, column) for column in index.T]
+        self._weights = [upload(mi.Float, column) for column in weight.T]
+        self._where, self._n = upload(mi.UInt32, where), n
+
+    def positions(self, base: mi.Float, parameters: dict[str, mi.Float], views: Views) -> mi.Float:
+        """See :class:`.operation.MeshOperation`."""
+        packets = self._topology.surface(base).packets
+        normals = mi.Vector3f(dr.gather(mi.Vector4f, packets, self._vertex * 3 + 1).xyz)
+        points = mi.Vector3f(dr.gather(mi.Point3f, base, dr.arange(mi.UInt32, dr.width(self._vertex))))
+        for edges in self._edges:
+            points, normals = (_with_midpoints(x, *edges) for x in (points, normals))
+        normals *= dr.rsqrt(dr.maximum(dr.squared_norm(normals), 1e-12))
+        height, total = parameters["displacement"], mi.Float(0)
+        for texel, weight in zip(self._texels, self._weights, strict=True):
+            total = total + dr.gather(mi.Float, height, texel) * weight
+        heights = dr.zeros(mi.Float, self._n)
+        dr.scatter_add(heights, total, self._where)
+        return dr.ravel(points + normals * heights)
+
+    def written(self, model: Model, parameters: dict[str, np.ndarray]) -> Model:
+        """See :class:`.operation.MeshOperation`."""
+        assert model.displacement is not None
+        height = np.asarray(parameters["displacement"], np.float32).reshape(self._height.shape)
+        return replace(model, displacement=replace(model.displacement, height=height))
+
+
+def _with_midpoints(values: mi.Vector3f, first: mi.UInt32, second: mi.UInt32) -> mi.Vector3f:
+    """With the means of the two ends of every edge appended."""
+    n = dr.width(values)
+    flat = dr.ravel(values)
+    dr.eval(flat)
+    ends = [dr.gather(mi.Point3f, flat, index) for index in (first, second)]
+    middle = mi.Vector3f(0.5 * (ends[0] + ends[1]))
+    out = dr.zeros(mi.Float, 3 * (n + dr.width(first)))
+    dr.scatter(out, values, dr.arange(mi.UInt32, n))
+    dr.scatter(out, middle, dr.arange(mi.UInt32, dr.width(first)) + n)
+    return mi.Vector3f(dr.gather(mi.Point3f, out, dr.arange(mi.UInt32, n + dr.width(first))))

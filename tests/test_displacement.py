@@ -1,0 +1,164 @@
+"""Displaced base meshes: the subdivision, the same surface in NumPy and Dr.Jit, its derivatives, the first guess, files."""
+
+import json
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from PIL import Image
+from pxr import Usd, UsdShade
+from test_cli import bumpy_sphere
+from tiny_meshes import charted_sphere
+
+from mi_simplify import cli
+from mi_simplify.integrators.deferred import DeferredRenderer
+from mi_simplify.latent.displacement import Displaced
+from mi_simplify.latent.latent import Latent
+from mi_simplify.latent.model import Displacement, Model
+from mi_simplify.latent.tessellation import Tessellation, tessellated
+from mi_simplify.scenes.load import load_asset
+from mi_simplify.scenes.views import look_at
+from mi_simplify.upload import upload
+
+
+def model(n=2, size=32, subdivisions=2, seed=0, amplitude=0.05) -> Model:
+    rng = np.random.default_rng(seed)
+    base, specular = (rng.uniform(0.3, 0.7, (16, 16, c)).astype(np.float32) for c in (4, 3))
+    base[..., 3], specular[..., ::2] = 1, 0
+    y, x = np.indices((size, size)) / size * 2 * np.pi
+    height = np.float32(amplitude * np.sin(2 * x + 0.3) * np.cos(3 * y))
+    normal = np.tile(np.float32([0, 0, 1]), (16, 16, 1))
+    return Model(charted_sphere(n, 0.02), base, specular, normal, displacement=Displacement(height, subdivisions))
+
+
+def test_every_face_becomes_four_and_no_crack_opens():
+    start = model().mesh
+    for n in (1, 2, 3):
+        fine = Tessellation.of(start, n).mesh
+        assert len(fine.faces) == len(start.faces) * 4**n
+        ends = np.sort(np.stack([fine.position_faces, np.roll(fine.position_faces, -1, 1)], 2).reshape(-1, 2), 1)
+        assert set(np.unique(ends, axis=0, return_counts=True)[1]) == {2}  # closed as the base is
+        edges = len(ends) // 2
+        assert len(fine.positions) - edges + len(fine.faces) == 2  # Euler: a sphere
+        # Nothing moves: the fine mesh lies on the faces of the base, and their texture stays.
+        area = lambda p, f: np.linalg.norm(np.cross(p[f[:, 1]] - p[f[:, 0]], p[f[:, 2]] - p[f[:, 0]]), axis=1).sum()  # noqa: E731
+        assert area(fine.positions, fine.position_faces) == pytest.approx(area(start.positions, start.position_faces))
+        flat = lambda m: np.pad(m.uvs.astype(float), ((0, 0), (0, 1)))  # noqa: E731
+        assert area(flat(fine), fine.faces) == pytest.approx(area(flat(start), start.faces), rel=1e-4)
+
+
+def test_a_constant_map_grows_a_sphere():
+    ball = replace(model(8, subdivisions=2), mesh=charted_sphere(8))
+    ball = replace(ball, displacement=replace(ball.displacement, height=np.full((32, 32), 0.25, np.float32)))
+    radius = np.linalg.norm(tessellated(ball).mesh.positions, axis=1)
+    assert radius.max() == pytest.approx(1.25, abs=0.01) and radius.min() > 1.2
+
+
+def test_the_device_makes_the_same_surface():
+    start = model()
+    operation = Displaced(start)
+    base = upload(mi.Float, operation.base.positions.ravel())
+    height = upload(mi.Float, operation.parameters["displacement"])
+    got = operation.positions(base, {"displacement": height}, None).numpy().reshape(-1, 3)
+    assert np.allclose(got, tessellated(start).mesh.positions, atol=2e-6)
+    assert np.allclose(got, operation.mesh.positions, atol=2e-6)
+    again = operation.written(start, {"displacement": height.numpy()})
+    assert np.array_equal(again.displacement.height, start.displacement.height)
+
+
+def test_derivatives_by_base_and_map_against_differences():
+    start = model()
+    operation, rng = Displaced(start), np.random.default_rng(1)
+    base, height = operation.base.positions.ravel(), operation.parameters["displacement"]
+    weight = rng.normal(size=3 * len(operation.mesh.positions))
+    b, h = upload(mi.Float, base), upload(mi.Float, height)
+    dr.enable_grad(b, h)
+    dr.backward(dr.sum(operation.positions(b, {"displacement": h}, None) * upload(mi.Float, weight)))
+    tessellation = Tessellation.of(start.mesh, 2)
+
+    def value(x, y):
+        return np.sum(tessellation.positions(x.reshape(-1, 3), y.reshape(32, 32)).ravel() * weight)
+
+    for grad, direction, along in (
+        (dr.grad(b).numpy(), rng.normal(size=base.size), lambda d: (base + d, height)),
+        (dr.grad(h).numpy(), rng.normal(size=height.size), lambda d: (base, height + d)),
+    ):
+        difference = (value(*along(1e-4 * direction)) - value(*along(-1e-4 * direction))) / 2e-4
+        assert np.sum(grad * direction) == pytest.approx(difference, rel=2e-3)
+
+
+def test_derivatives_of_an_image_against_differences():
+    """Of an image, so that shading and outline of the displaced surface move, too; by base vertices and by the map."""
+    start = model(4, subdivisions=1, amplitude=0.03)
+    latent = Latent(start)
+    operation, renderer = latent.operation, DeferredRenderer(latent.topology)
+    views = look_at([[0.4, 0.8, -3.1]], [0.02, 0, 0.01], [[2, 1.5, -2.5]], width=48, height=48, irradiance=2.0)
+    weight = np.repeat(1.5 + np.sin(np.arange(48 * 48) / 500)[:, None], 4, axis=1)
+    smooth = np.float32(np.sin(np.indices((32, 32))[0] / 32 * 2 * np.pi) + 1.2).ravel()
+    leaves = {"base": operation.base.positions.ravel(), "displacement": operation.parameters["displacement"]}
+
+    def image(spp, seed, moved=None, step=0.0):
+        values = {k: upload(mi.Float, v + step * directions[k] * (k == moved)) for k, v in leaves.items()}
+        positions = operation.positions(values["base"], {"displacement": values["displacement"]}, views)
+        renderer.move(positions)
+        with dr.suspend_grad():
+            frame = renderer.render(latent.evaluate(positions), latent.textures, views, spp=spp, seed=mi.UInt32(seed))
+        return np.sum(frame.image.numpy().T * weight)
+
+    def gradient(seed):
+        values = {k: upload(mi.Float, v) for k, v in leaves.items()}
+        dr.enable_grad(*values.values())
+        made = operation.positions(values["base"], {"displacement": values["displacement"]}, views)
+        leaf = mi.Float(dr.detach(made))
+        dr.enable_grad(leaf)
+        renderer.move(dr.detach(leaf))
+        surface = latent.evaluate(leaf)
+        frame = renderer.render(surface, latent.textures, views, spp=32, seed=mi.UInt32(seed))
+        grad = upload(mi.Vector4f, weight)
+        renderer.backward(frame, grad, surface, latent.textures, leaf, mi.UInt32(seed + 1000))
+        dr.set_grad(made, dr.grad(leaf))
+        dr.enqueue(dr.ADMode.Backward, made)
+        dr.traverse(dr.ADMode.Backward)
+        return {k: np.sum(dr.grad(v).numpy() * directions[k]) for k, v in values.items()}
+
+    directions = {"base": leaves["base"], "displacement": smooth}
+    ours = [gradient(k) for k in range(12)]
+    for name, eps in (("base", 4e-3), ("displacement", 4e-3)):
+        both = [(image(256, k, name, eps) - image(256, k, name, -eps)) / (2 * eps) for k in range(12)]
+        mean = np.mean([g[name] for g in ours])
+        noise = np.hypot(np.std([g[name] for g in ours]) / 12**0.5, np.std(both) / 12**0.5)
+        assert noise < 0.01 * abs(np.mean(both))
+        assert abs(mean - np.mean(both)) < max(0.01 * abs(np.mean(both)), 3 * noise), name
+
+
+def test_a_displaced_model_from_the_command_line(tmp_path):
+    """A base of 60 triangles, displaced, is nearer to the asset than the base; its files hold the same surface."""
+    asset = bumpy_sphere(tmp_path, 24)
+    settings = [
+        "initial.subdivisions=2", "initial.atlas_size=128", "optimizer.steps=4", "optimizer.batch=2",
+        "optimizer.resolution=48", "evaluation.views=2", "evaluation.resolution=48", "evaluation.spp=8",
+        "reference.spp=2", "reference.pool=4", "export.formats=glb",
+    ]  # fmt: skip
+    out = tmp_path / "out"
+    command = ["simplify", str(asset), "-n", "60", "-o", str(out), "--quiet"]
+    assert cli.main([*command, *(x for s in settings for x in ("--set", s))]) == 0
+    fine, base = load_asset(out / "model.glb"), load_asset(out / "displacement" / "base.glb")
+    assert fine.n_triangles == 16 * base.n_triangles and base.n_triangles <= 60
+    points = fine.parts[0].vertices
+    radius = np.linalg.norm(points, axis=1)
+    wanted = 1 + 0.05 * np.sin(6 * points / radius[:, None]).sum(1)
+    middle = base.parts[0].vertices[base.parts[0].faces].mean(1)
+    assert np.abs(radius - wanted).mean() < 0.02 < np.abs(np.linalg.norm(middle, axis=1) - 1).mean()
+    facts = json.loads((out / "displacement" / "displacement.json").read_text())
+    levels = np.asarray(Image.open(out / "displacement" / "height.png")).astype(float)
+    exact = np.array(mi.Bitmap(str(out / "displacement" / "height.exr")))[..., 0]
+    assert levels.max() == 65535 and facts["subdivisions"] == 2
+    assert np.allclose(facts["low"] + levels / 65535 * (facts["high"] - facts["low"]), exact, atol=1e-4)
+    stage = Usd.Stage.Open(str(out / "displacement" / "base.usdc"))
+    surface = UsdShade.Shader(next(p for p in stage.Traverse() if p.GetName() == "surface"))
+    (source,), _ = surface.GetInput("displacement").GetConnectedSources()
+    texture = UsdShade.Shader(source.source.GetPrim())
+    assert texture.GetInput("bias").Get()[0] == pytest.approx(facts["low"])
+    assert texture.GetInput("scale").Get()[0] == pytest.approx(facts["high"] - facts["low"])
