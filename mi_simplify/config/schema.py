@@ -127,8 +127,8 @@ class Initial(Section):
         0,
         ge=0,
         le=5,
-        description="Split every triangle in four so many times and displace what comes of it by a map; `triangles` are "
-        "those before.",
+        description="Split every triangle in four so many times and displace what comes of it by a map; `triangles` "
+        "are those before.",
     )
     oversample: Literal[1, 2, 4, 8] = Field(
         1,

@@ -180,7 +180,7 @@ def displaced_onto(asset: Asset, model: Model, subdivisions: int) -> Model:
     height = bake(asset, tessellation.base, size=size, samples=1).height
     while size % 2 == 0 and (size // 2) ** 2 >= 2 * len(tessellation.mesh.positions):
         height, size = halved(height), size // 2
-    displacement = Displacement(np.float32(height[..., 0]), subdivisions)
+    displacement = Displacement(height[..., 0].astype(np.float32), subdivisions)
     return replace(model, mesh=tessellation.base, displacement=displacement)
 
 

@@ -23,7 +23,7 @@ class Displaced:
     fixed beforehand, and d is the bilinear displacement map at the texture coordinate t (Hasselgren et al. 2021,
     Sect. 5.1). All of it is computed anew from the parameters, so that gradients reach base vertices and map.
 
-    Where a texture seam runs, a position has two texture coordinates and takes the mean of both, so that no crack opens.
+    Where a texture seam runs, a position has two texture coordinates and takes the mean of both: no crack opens.
 
     Parameters
     ----------

@@ -131,7 +131,7 @@ class Model:
         mesh = replace(self.mesh, positions=self.mesh.positions * scale + np.asarray(offset))
         displacement = self.displacement
         if displacement is not None:
-            displacement = replace(displacement, height=np.float32(displacement.height * scale))
+            displacement = replace(displacement, height=(displacement.height * scale).astype(np.float32))
         return replace(self, mesh=mesh, displacement=displacement)
 
     def taking(self, fitted: Model, quantities: Collection[str]) -> Model:
