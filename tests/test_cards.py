@@ -6,6 +6,7 @@ import pytest
 from mi_simplify.errors import MeshError
 from mi_simplify.initial.cards import cards, is_aggregate, lay_out
 from mi_simplify.initial.clusters import cluster_faces, pieces
+from mi_simplify.initial.crossing import crossing_cards
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 from mi_simplify.scenes.reference import make_reference
 from mi_simplify.scenes.samples import sample_asset
@@ -111,7 +112,7 @@ def test_coverage_and_color_are_those_of_the_leaves(output):
     asset = leaves(60, seed=4)
     model, notes = cards(asset, 120, atlas_size=192, output=output)
     assert model.n_triangles == 120 and model.base_color.shape == (192, 192, 4)
-    assert "60 cards" in notes[-1]
+    assert "60 cards" in notes[0]
     want, have = (coverage(x, asset.bounds) for x in (asset, model.as_asset()))
     assert have.sum() == pytest.approx(want.sum(), rel=0.02)
     assert np.abs(have / want - 1).max() < 0.06
@@ -146,6 +147,19 @@ def test_transparent_leaves_stay_so():
     opacity = model.base_color[..., 3]
     assert opacity[24:40, 24:40].max() == 0 and opacity[6:12].min() == 0 or opacity[24:40, 4:10].min() > 0.99
     assert 0.65 < opacity.mean() < 0.8
+
+
+def test_cards_that_cut_through_each_other_are_counted():
+    square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    upright = 0.8 * square[:, [2, 1, 0]]
+    places = [square, upright, upright + [3, 0, 0], square + [0, 0, 2], 0.1 * upright + [0.5, 0.2, 0]]
+    assert crossing_cards(np.array(places)) == 2
+    assert crossing_cards(np.array([square, square + [0, 0, 0.1]])) == 0
+    assert crossing_cards(np.zeros((0, 4, 3))) == 0
+    rng = np.random.default_rng(0)
+    quads = np.array([0.3 * square @ turned(rng).T + rng.uniform(-1, 1, 3) for _ in range(60)])
+    alone = sum(crossing_cards(quads[[i, j]]) for i in range(60) for j in range(i))
+    assert crossing_cards(quads) == alone > 20
 
 
 def test_what_is_too_much_is_an_error():

@@ -61,7 +61,11 @@ STARTS: dict[str, dict[str, Any]] = {
             "optimize": ["vertices", "base_color", "opacity", "roughness", "normal"],
             "min_roughness": 0.6,
         },
-        "optimizer": {"rates": {"vertices": 0.002, "base_color": 0.01, "specular": 0.005, "normal": 0.01}},
+        "optimizer": {
+            "steps": 300,
+            "spp": 1,
+            "rates": {"vertices": 0.002, "base_color": 0.01, "specular": 0.005, "normal": 0.01},
+        },
         "loss": {"image": "l2", "coverage": 1.0, "laplacian": {"weight": 1.0}},
     },
 }

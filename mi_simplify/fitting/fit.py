@@ -60,6 +60,8 @@ class Fit:
             self.latent.topology, form=config.latent.shading, shadows=matched,
             shade="sample" if transparent else config.optimizer.shade,
             layers=config.opacity.layers if transparent else 1,
+            # Cards end where they are transparent already, and their edges are many.
+            edge_fraction=0.05 if transparent else 0.15,
         )  # fmt: skip
         self.latent.textures.cutoff = model.alpha_cutoff
         self.beyond = 0.0

@@ -14,6 +14,7 @@ from ..runtime import ensure_variant
 from ..scenes.asset import Asset
 from .cleanup import Soup, merge
 from .clusters import Clusters, cluster_faces, pieces
+from .crossing import crossing_cards
 
 #: How far a quad reaches beyond what it shows, and from there to the next card [texels].
 _MARGIN, _GAP = 0.5, 0.5
@@ -120,6 +121,12 @@ def cards(
         shape, reach = equal_areas(base[..., 3], layout)
         base[..., 3] = 1
     mesh = card_mesh(clusters, layout, atlas_size, shape, reach)
+    crossing = crossing_cards(mesh.positions.reshape(-1, 4, 3))
+    if crossing and output != "opaque":
+        notes.append(
+            f"{crossing} pairs of cards cut through each other; how their order changes there is missing in the fit's "
+            "derivatives"
+        )
     mode = {"mask": "MASK", "blend": "BLEND", "opaque": "OPAQUE"}[output]
     return Model(mesh, base, images["specular"], images["normal"], mode, name=asset.name), notes
 
