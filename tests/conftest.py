@@ -1,13 +1,12 @@
 """Fixtures: a variant for every test, and the optional folder of real models."""
 
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from toy import files
 
-from mi_simplify import runtime
+from mi_simplify import cli, runtime
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -52,20 +51,24 @@ def node_run():
     return run
 
 
-def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
-    """Remember how the run ended, for the hook below."""
-    session.config.stash[_STATUS] = int(exitstatus)
+@pytest.fixture
+def rejected(tmp_path, monkeypatch, capsys):
+    """Run a command line that must end with code 2 and one line, and leave no file behind; returns the line."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*argv: str) -> str:
+        before = files(tmp_path)
+        assert cli.main(list(argv)) == 2
+        out, err = capsys.readouterr()
+        assert err.count("\n") == 1, err
+        assert err.startswith("error: ")
+        assert "Traceback" not in out + err
+        assert files(tmp_path) == before
+        return err
+
+    return run
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_unconfigure(config: pytest.Config) -> None:
-    """
-    Leave without tearing Dr.Jit down: after a whole run, all reports written, its teardown was seen to crash once.
-    """
-    sys.stdout.flush()
-    sys.stderr.flush()
-    if _STATUS in config.stash:
-        os._exit(config.stash[_STATUS])
-
-
-_STATUS = pytest.StashKey[int]()
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Slow tests last, so that a run that is stopped has done the others."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is not None)

@@ -15,8 +15,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from test_cli import bumpy_sphere, files
 from test_fit import textured_sphere
+from toy import bumpy_sphere, files
 
 from mi_simplify import cli
 from mi_simplify.checkpoint import Checkpoint, fingerprint, read_archive, write_archive

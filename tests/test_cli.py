@@ -1,10 +1,7 @@
-"""The command line: every bad input is exit code 2, one line, nothing written; a toy job runs end to end."""
+"""The command line: every bad input is exit code 2, one line, nothing written; what options mean."""
 
 import errno
-import json
 import os
-import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -13,33 +10,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from toy import bumpy_sphere, files
 
 from mi_simplify import cli, job
-from mi_simplify.config import load_config
 from mi_simplify.export import write_glb, write_obj
 from mi_simplify.latent.model import Mesh, Model
 from mi_simplify.output import RunFolder
-
-TOY = ["--set", "initial.atlas_size=64", "--set", "evaluation.resolution=64", "--set", "evaluation.spp=8",
-       "--set", "evaluation.views=4", "--set", "reference.spp=8", "--set", "optimizer.resolution=64"]  # fmt: skip
-
-
-def bumpy_sphere(folder: Path, n: int = 40) -> Path:
-    """A sphere of 2n² triangles with waves and, per octant, another vertex colour, as PLY."""
-    i, j = np.meshgrid(np.arange(n + 1), np.arange(n), indexing="ij")
-    theta, phi = np.pi * i / n, 2 * np.pi * j / n
-    d = np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)], -1).reshape(-1, 3)
-    points = d * (1 + 0.05 * np.sin(6 * d).sum(1, keepdims=True))
-    a, b = (i * n + j)[:-1].ravel(), (i * n + (j + 1) % n)[:-1].ravel()
-    faces = np.concatenate([np.stack([a, b, b + n], 1), np.stack([a, b + n, a + n], 1)])
-    head = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n"
-    head += "".join(f"property float {axis}\n" for axis in "xyz")
-    head += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
-    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    rows = [f"{x:.6f} {y:.6f} {z:.6f} {55 + 200 * (x > 0)} {55 + 200 * (y > 0)} 90\n" for x, y, z in points]
-    path = folder / "sphere.ply"
-    path.write_text(head + "".join(rows) + "".join(f"3 {a} {b} {c}\n" for a, b, c in faces))
-    return path
 
 
 def tetrahedron() -> Model:
@@ -48,28 +24,6 @@ def tetrahedron() -> Model:
     mesh = Mesh(positions, np.arange(4), np.float32([[0, 0], [1, 0], [0, 1], [1, 1]]), faces)
     return Model(mesh, np.full((4, 4, 4), 0.5, np.float32), np.tile(np.float32([0, 0.5, 0]), (4, 4, 1)),
                  np.tile(np.float32([0, 0, 1]), (4, 4, 1)))  # fmt: skip
-
-
-def files(folder: Path) -> set[str]:
-    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
-
-
-@pytest.fixture
-def rejected(tmp_path, monkeypatch, capsys):
-    """Run a command line that must end with code 2 and one line, and leave no file behind; returns the line."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*argv: str) -> str:
-        before = files(tmp_path)
-        assert cli.main(list(argv)) == 2
-        out, err = capsys.readouterr()
-        assert err.count("\n") == 1, err
-        assert err.startswith("error: ")
-        assert "Traceback" not in out + err
-        assert files(tmp_path) == before
-        return err
-
-    return run
 
 
 # ------------------------------------------------------------------ the asset
@@ -410,159 +364,3 @@ def test_options_of_the_start_and_of_what_is_fitted(arguments, initial, optimize
         (tmp_path / "c.yaml").write_text("asset: b.obj\n")
         assert cli.main(["run", "c.yaml", *arguments]) == 0
         assert jobs[1].latent.optimize == optimize
-
-
-# ------------------------------------------------------------------ end to end
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory) -> Path:
-    """A folder with a sphere and the run of `simplify` over it, started from grey textures."""
-    folder = tmp_path_factory.mktemp("toy")
-    sphere = bumpy_sphere(folder)
-    arguments = ["-n", "300", "--quiet", "--set", "optimizer.steps=60", "--set", "initial.textures=constant"]
-    arguments += ["--set", "optimizer.decay=0.3", "--set", "optimizer.rates.base_color=0.03"]
-    arguments += ["--set", "evaluation.baseline=true", "--tensorboard"]
-    assert cli.main(["simplify", str(sphere), "-o", str(folder / "out"), *arguments, *TOY]) == 0
-    return folder
-
-
-def test_a_toy_job_comes_much_closer_and_writes_everything(toy):
-    expected = {"config.yaml", "contact_sheet.png", "log.jsonl", "metrics.json", "report.html", "model.glb"}
-    assert expected | {"model.obj", "model.mtl", "model.usdc", "model_base_color.png"} <= files(toy / "out")
-    figures = json.loads((toy / "out" / "metrics.json").read_text())
-    guess, result = figures["candidates"]["first guess"], figures["candidates"]["result"]
-    assert result["triangles"] <= 300
-    assert result["psnr"] > guess["psnr"] + 3
-    assert list(figures["candidates"]) == ["quadrics", "first guess", "result"]
-    assert figures["candidates"]["quadrics"]["triangles"] <= 300
-    assert figures["run"]["transport"] == "direct"
-    log = [json.loads(line) for line in (toy / "out" / "log.jsonl").read_text().splitlines()]
-    assert log[-1]["step"] == 60
-    assert log[-1]["loss"] < 0.5 * log[0]["loss"]
-    assert len(list((toy / "out" / "tensorboard").iterdir())) == 1
-
-
-def test_the_resolved_config_describes_the_run(toy):
-    config = load_config(toy / "out" / "config.yaml")
-    assert config.asset == str(toy / "sphere.ply")
-    assert (config.optimizer.steps, config.initial.triangles, config.variant) == (60, 300, "llvm_ad_rgb")
-
-
-def test_the_result_stands_where_the_input_stood(toy):
-    from mi_simplify.scenes.load import load_asset
-
-    before, after = load_asset(toy / "sphere.ply").bounds, load_asset(toy / "out" / "model.glb").bounds
-    assert np.abs(before - after).max() < 0.05 * (before[1] - before[0]).max()
-
-
-def test_evaluate_bake_and_render_on_the_result(toy, tmp_path, capsys):
-    sphere, model = str(toy / "sphere.ply"), str(toy / "out" / "model.glb")
-    small = ["--views", "2", "--resolution", "64", "--spp", "8"]
-    assert cli.main(["evaluate", sphere, model, sphere, *small, "-o", str(tmp_path / "judged"), "-q"]) == 0
-    rows = capsys.readouterr().out.splitlines()
-    assert len(rows) == 2
-    assert "3200 triangles" in rows[1]
-    figures = json.loads((tmp_path / "judged" / "metrics.json").read_text())["candidates"]
-    assert figures[sphere]["psnr"] > figures[model]["psnr"]
-
-    assert cli.main(["bake", sphere, model, "-o", str(tmp_path / "baked"), "--atlas-size", "64"]) == 0
-    assert (tmp_path / "baked" / "model.glb").is_file()
-
-    assert cli.main(["render", model, "-o", str(tmp_path / "p.png"), "--resolution", "48", "--spp", "8"]) == 0
-    from PIL import Image
-
-    image = np.asarray(Image.open(tmp_path / "p.png"))
-    assert image.shape == (48, 48, 3)
-    assert image[24, 24].min() > 20
-    assert image[0, 0].max() == 0
-    assert cli.main(["render", sphere, "-o", str(tmp_path / "p.exr"), "--resolution", "16", "--spp", "1"]) == 0
-    assert (tmp_path / "p.exr").stat().st_size > 500
-
-
-def test_the_report_of_a_run_is_built_again_from_its_folder(toy, tmp_path, capsys, rejected):
-    folder = tmp_path / "moved"
-    shutil.copytree(toy / "out", folder)
-    before = (folder / "report.html").read_text()
-    (folder / "report.html").unlink()
-    assert cli.main(["report", str(folder)]) == 0
-    assert capsys.readouterr().out == f"{folder / 'report.html'}\n"
-    assert (folder / "report.html").read_text() == before
-    assert all(part in before for part in ('id="viewer"', "reference, 3,200 triangles", 'id="curves"', "roughness"))
-    (folder / "model.glb").write_bytes(b"glTF")
-    assert "model.glb" in rejected("report", str(folder))
-    assert "none holds no finished run; name a folder" in rejected("report", "none")
-
-
-def test_candidates_are_compared_in_a_report(toy, tmp_path, capsys, rejected):
-    sphere, model = str(toy / "sphere.ply"), str(toy / "out" / "model.glb")
-    small = ["--views", "2", "--resolution", "48", "--spp", "4"]
-    out = tmp_path / "side"
-    assert cli.main(["compare", sphere, model, sphere, *small, "-o", str(out), "--quiet"]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 2
-    text = (out / "report.html").read_text()
-    assert text.count("<option") > 10
-    assert "reference, 3,200 triangles" in text and "out/model.glb, 300 triangles" in text
-    assert "already holds a run" in rejected("compare", sphere, model, "-o", str(out))
-    assert "Missing option '--out'" in rejected("compare", sphere, model)
-
-
-@pytest.fixture(scope="module")
-def start(toy) -> tuple[Path, dict]:
-    """A low-poly mesh with UVs of its own, and the first guess that `simplify --init` makes of it, not fitted."""
-    low = toy / "out" / "model.obj"
-    guess = ["simplify", str(toy / "sphere.ply"), "--init", str(low), "--keep-uv", "--set", "optimizer.steps=0"]
-    guess += ["--set", "initial.textures=constant"]  # so that every quantity has something to gain
-    assert cli.main([*guess, "-o", str(toy / "guess"), "--quiet", *TOY]) == 0
-    return low, parts_of(toy / "guess" / "model.glb")
-
-
-def parts_of(path: Path) -> dict[str, np.ndarray]:
-    """What a fit may change, by the name that --skip has for it, and what it never does."""
-    from mi_simplify.scenes.load import load_asset
-
-    (part,) = load_asset(path).parts
-    material = part.material
-    return {"shape": part.vertices, "kd": material.base_color, "orm": material.specular, "normal": material.normal,
-            "uvs": part.uvs, "faces": part.faces}  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("arguments", "fitted"),
-    [
-        (["--normal-only"], {"normal"}),
-        (["--fixed-shape"], {"kd", "orm", "normal"}),
-        (["--skip", "kd,orm"], {"shape", "normal"}),
-        (["--skip", "normal"], {"shape", "kd", "orm"}),
-    ],
-)
-def test_what_is_not_fitted_stays_to_the_bit(arguments, fitted, start, toy, tmp_path):
-    low, guess = start
-    run = ["simplify", str(toy / "sphere.ply"), "--init", str(low), "--keep-uv", "--set", "optimizer.steps=8"]
-    run += ["--set", "initial.textures=constant", "--set", "optimizer.batch=4", "--set", "optimizer.spp=4"]
-    fast = [f"--set=optimizer.rates.{name}=0.05" for name in ("base_color", "specular", "normal")]
-    assert cli.main([*run, *arguments, *fast, "--set=evaluation.every=8", "-o", str(tmp_path), "--quiet", *TOY]) == 0
-    result = parts_of(tmp_path / "model.glb")
-    changed = {name for name in result if not np.array_equal(result[name], guess[name])}
-    assert changed == fitted
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-def test_ctrl_c_leaves_the_model_as_far_as_it_got(tmp_path):
-    sphere = bumpy_sphere(tmp_path)
-    command = [sys.executable, "-m", "mi_simplify", "simplify", str(sphere), "-n", "300", "-o", "out", *TOY]
-    process = subprocess.Popen(
-        [*command, "--set", "optimizer.steps=100000"], cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL,
-        text=True,
-    )  # fmt: skip
-    deadline = time.monotonic() + 120
-    while not (tmp_path / "out" / "log.jsonl").exists():
-        assert process.poll() is None, process.stderr.read()
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
-    assert err.strip().startswith("interrupted: out holds the best model of "), err
-    assert err.strip().endswith("of 100000 steps; the same command with --resume goes on"), err
-    assert (tmp_path / "out" / "model.glb").is_file()

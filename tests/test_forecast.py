@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_cli import bumpy_sphere
+from toy import bumpy_sphere
 
 from mi_simplify import cli, forecast, stopwatch
 from mi_simplify.config import load_config

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pxr import Usd, UsdLod
-from test_cli import bumpy_sphere
 from tiny_meshes import charted_sphere
+from toy import bumpy_sphere
 
 from mi_simplify import cli
 from mi_simplify.export import export_model
