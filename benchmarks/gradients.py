@@ -175,7 +175,7 @@ def run_row(views: int, resolution: int, n_triangles: int, n_texels: int, option
 
     batch = fit.pool.batch(views)[0]
     with dr.suspend_grad():
-        surface = fit.latent.evaluate(fit.shape.positions(batch))
+        surface = fit.latent.evaluate(fit.shape.still(batch).positions)
         dr.eval(surface.packets)
 
         def bare(seed: int):

@@ -21,7 +21,9 @@ from .config import Config
 from .errors import OutputError
 from .export.files import make_folder, write_atomic
 from .latent.model import Displacement, Mesh, Model
+from .latent.rigging import Rigging
 from .scenes.asset import Asset
+from .scenes.rig import Rig
 
 log = logging.getLogger("mi_simplify")
 
@@ -90,6 +92,10 @@ class Checkpoint:
         model["mesh"] = Mesh(**model["mesh"])
         if model["displacement"] is not None:
             model["displacement"] = Displacement(**model["displacement"])
+        if model["skin"] is not None:
+            skin = model["skin"]
+            rig = Rig(**{**skin["rig"], "names": tuple(skin["rig"]["names"])})
+            model["skin"] = Rigging(**{**skin, "rig": rig})
         guess = Model(**model)
         return guess, self._guess["notes"], self._read(STATE) if (self.folder / STATE).exists() else None
 
@@ -173,7 +179,7 @@ def fingerprint(asset: Asset) -> str:
     A hash of everything that is rendered of an asset, whatever its file is called.
     """
     digest = hashlib.blake2b(digest_size=16)
-    for value in _values((asset.parts, asset.instances)):
+    for value in _values((asset.parts, asset.instances, asset.rig)):
         digest.update(value if isinstance(value, bytes) else np.ascontiguousarray(value).data.cast("B"))
     source = Path(asset.source)
     if source.is_file():  # of a scene, what is rendered is more than its parts

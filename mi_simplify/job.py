@@ -16,7 +16,7 @@ from .events import require_tensorboard
 from .export import export_model
 from .export.files import write_atomic
 from .footprint import check_footprint
-from .initial import first_guess, quadrics_only
+from .initial import first_guess
 from .interrupt import DeferredInterrupt
 from .latent.model import Model
 from .output import RunFolder
@@ -143,8 +143,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         candidates = {"first guess": guess.as_asset(), "result": result}
         judged = config.evaluation
         if judged.baseline:
-            target = frame.normalised(subject.geometry)
-            baseline, _ = quadrics_only(target, guess.n_triangles, atlas_size=config.initial.atlas_size)
+            baseline = subject.baseline(guess.n_triangles)
             candidates = {"quadrics": frame.restored(baseline).as_asset(), **candidates}
         comparison = subject.judge(
             candidates, n_views=judged.views, resolution=judged.resolution, spp=judged.spp,

@@ -226,9 +226,10 @@ def test_skin_stands_in_its_rest_pose(glb, tmp_path):
     )
     asset = load_asset(glb.save(tmp_path / "a.glb"))
     np.testing.assert_allclose(
-        asset.placed()[0].vertices - QUAD, [[0, 5, 0], [0, 5, 0], [0, 6, 0], [0, 7, 0]], atol=1e-6
+        asset.posed().placed()[0].vertices - QUAD, [[0, 5, 0], [0, 5, 0], [0, 6, 0], [0, 7, 0]], atol=1e-6
     )
-    assert asset.notes == ("'man' is skinned; it is shown in its rest pose",)
+    np.testing.assert_allclose(asset.placed()[0].vertices - QUAD, [[0, 5, 0]] * 4, atol=1e-6)  # as the hip carries it
+    assert asset.notes == ("the skeleton has no animation; its one frame is the pose at rest",)
 
 
 def test_morph_targets_lines_and_emission_are_noted(glb, tmp_path):

@@ -266,7 +266,8 @@ def test_bind_pose_follows_the_skeleton(stage):
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1).SetTranslate((0, 0, 3)))
     asset = load_asset(save(stage))
     np.testing.assert_allclose(asset.placed()[0].vertices, QUAD + [1, 0, 3], atol=1e-6)
-    assert asset.notes == ("'Quad' is skinned; it is shown in its bind pose",)
+    np.testing.assert_allclose(asset.posed().placed()[0].vertices, QUAD + [1, 9, 3], atol=1e-6)
+    assert asset.notes == ("skeleton 'Skeleton' has no animation; its one frame is the pose at rest",)
 
 
 def test_what_is_left_out_is_noted(stage):

@@ -54,7 +54,7 @@ def test_gradients_of_rendered_positions_reach_base_and_parameters():
     dr.backward(dr.sum(pose.positions * mi.Float(weight.tolist())))
     steps.step(pose, 1.0)
     assert np.allclose(pose.base.grad.numpy(), 0.8 * weight, atol=1e-5)
-    slope = float(pose._parameters["displacement"].grad[0])
+    slope = float(pose.parameters["displacement"].grad[0])
     assert np.isclose(slope, weight @ model.mesh.positions.ravel(), rtol=1e-3)
     _, after = steps.values()
     assert np.isclose(after["displacement"][0], 0.8 - 0.01 * np.sign(slope), atol=1e-5)
@@ -74,7 +74,7 @@ def test_what_is_not_optimised_stays_and_what_was_is_restored():
     steps.restore(before)
     assert steps.state()["displacement"]["value"][0] == before["displacement"]["value"][0]
     steps.restart({"u": before["vertices"]["u"], "displacement": np.float32([0.5])})
-    assert np.allclose(steps.positions(shot()).numpy(), 0.5 * steps.values()[0], atol=1e-6)
+    assert np.allclose(steps.still(shot()).positions.numpy(), 0.5 * steps.values()[0], atol=1e-6)
 
 
 def test_a_fit_finds_the_parameter_of_an_operation(monkeypatch):

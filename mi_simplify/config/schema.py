@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from .ambient import Ambient
+from .animation import Animation
 from .images import Images
 from .implicit import Implicit
 from .opacity import Opacity
@@ -40,7 +41,9 @@ def _distinct(value: tuple) -> tuple:
 
 Pixels = Annotated[int, Field(ge=8, le=8192)]
 Resolutions = Annotated[tuple[Pixels, ...], BeforeValidator(_as_list), AfterValidator(_not_empty)]
-Quantity = Literal["vertices", "displacement", "base_color", "opacity", "gamma", "roughness", "metallic", "normal"]
+Quantity = Literal[
+    "vertices", "displacement", "skinning", "base_color", "opacity", "gamma", "roughness", "metallic", "normal"
+]
 Quantities = Annotated[tuple[Quantity, ...], BeforeValidator(_as_list), AfterValidator(_distinct)]
 Format = Literal["glb", "obj", "usd"]
 Formats = Annotated[
@@ -158,8 +161,9 @@ class Latent(Section):
     """What is optimised, and how it is shaded."""
 
     optimize: Quantities = Field(
-        ("vertices", "displacement", "base_color", "roughness", "metallic", "normal"),
-        description="Quantities that the fit changes; `displacement` only where there is a map.",
+        ("vertices", "displacement", "skinning", "base_color", "roughness", "metallic", "normal"),
+        description="Quantities that the fit changes; `displacement` only where there is a map, `skinning`, the weights "
+        "of joints, only where there is a skeleton.",
     )
     min_roughness: float = Field(0.08, ge=0.01, le=1.0, description="Lower limit of roughness.")
     shading: Literal["gltf", "paper"] = Field(
@@ -204,6 +208,7 @@ class Rates(Section):
 
     vertices: float = Field(0.001, ge=0, description="Vertex positions: the typical step.")
     displacement: float = Field(0.0005, ge=0, description="Displacement map: the typical step.")
+    skinning: float = Field(0.03, ge=0, description="Logarithms of skinning weights.")
     base_color: float = Field(0.001, ge=0, description="Base colour and opacity.")
     specular: float = Field(0.001, ge=0, description="Gamma, roughness and metallic.")
     normal: float = Field(0.001, ge=0, description="Normal map.")
@@ -307,6 +312,7 @@ class Config(Section):
     latent: Latent = Latent()
     opacity: Opacity = Opacity()
     views: Views = Views()
+    animation: Animation = Animation()
     optimizer: Optimizer = Optimizer()
     loss: Loss = Loss()
     evaluation: Evaluation = Evaluation()

@@ -13,18 +13,21 @@ import numpy as np
 from .. import __version__
 from ..errors import MeshError
 from ..latent.model import Model
+from ..latent.rigging import Rigging
 from ..latent.tangents import split_mirrored, vertex_tangents
 from .files import write_atomic
+from .skeleton import influences, skeleton_of
 from .textures import Textures, encode_textures, png
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-UNSIGNED_SHORT, UNSIGNED_INT, FLOAT = 5123, 5125, 5126
+UNSIGNED_BYTE, UNSIGNED_SHORT, UNSIGNED_INT, FLOAT = 5121, 5123, 5125, 5126
 LINEAR, LINEAR_MIPMAP_LINEAR, REPEAT = 9729, 9987, 10497
 
 
 def write_glb(model: Model, path: str | Path, *, extras: dict | None = None) -> Path:
     """
-    Write a model as GLB: metallic-roughness material, MikkTSpace tangents, embedded PNG textures.
+    Write a model as GLB: metallic-roughness material, MikkTSpace tangents, embedded PNG textures; a character with
+    skeleton, weights and animation.
 
     Gamma leaves as KHR_materials_specular where a dielectric texel has any (:mod:`.textures`).
     Vertices in which mirrored and unmirrored charts meet are doubled, since TANGENT's w is per vertex.
@@ -59,11 +62,15 @@ def glb_bytes(model: Model, *, extras: dict | None = None) -> bytes:
     attributes, indices = _geometry(builder, model)
     textures = encode_textures(model)
     material = _material(builder, model, textures)
+    node: dict = {"name": model.name, "mesh": 0}
+    more: dict = {}
+    if model.skin is not None:
+        more = _skinned(builder, model, model.skin, node, attributes)
     document = {
         "asset": {"version": "2.0", "generator": f"mi_simplify {__version__}", **_some("extras", extras)},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": model.name, "mesh": 0}],
+        "nodes": [node],
         "meshes": [
             {
                 "name": model.name,
@@ -78,6 +85,7 @@ def glb_bytes(model: Model, *, extras: dict | None = None) -> bytes:
         "bufferViews": builder.views,
         "buffers": [{"byteLength": len(builder.data)}],
     }
+    document |= more
     if material.get("extensions"):
         document["extensionsUsed"] = sorted(material["extensions"])
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
@@ -105,16 +113,16 @@ class _Builder:
         self.data += content + bytes(-len(content) % 4)
         return len(self.views) - 1
 
-    def accessor(self, array: np.ndarray, component: int, target: int, *, bounds: bool = False) -> int:
-        """Append an array of scalars (n,) or vectors (n, k) and return the accessor's index."""
+    def accessor(self, array: np.ndarray, component: int, target: int | None = None, *, bounds: bool = False) -> int:
+        """Append an array of scalars (n,), vectors (n, k) or 4x4 matrices (n, 16) and return the accessor's index."""
         entry = {
             "bufferView": self.view(np.ascontiguousarray(array).tobytes(), target),
             "componentType": component,
             "count": len(array),
-            "type": "SCALAR" if array.ndim == 1 else f"VEC{array.shape[1]}",
+            "type": "SCALAR" if array.ndim == 1 else "MAT4" if array.shape[1] == 16 else f"VEC{array.shape[1]}",
         }
         if bounds:  # float32 to decimal and back is exact
-            entry |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
+            entry |= {name: np.atleast_1d(f(0)).tolist() for name, f in (("min", array.min), ("max", array.max))}
         self.accessors.append(entry)
         return len(self.accessors) - 1
 
@@ -148,6 +156,51 @@ def _geometry(builder: _Builder, model: Model) -> tuple[dict, int]:
     indices = mesh.faces.ravel().astype("<u2" if small else "<u4")
     component = UNSIGNED_SHORT if small else UNSIGNED_INT
     return attributes, builder.accessor(indices, component, ELEMENT_ARRAY_BUFFER)
+
+
+def _skinned(builder: _Builder, model: Model, rigging: Rigging, node: dict, attributes: dict) -> dict:
+    """More of the document: joints as nodes after the mesh's, skin and animation; weights join the attributes."""
+    skeleton = skeleton_of(rigging.rig)
+    joints, weights = influences(rigging)
+    index = split_mirrored(model.mesh).position_index
+    small = len(skeleton.names) <= 256
+    for k in range(joints.shape[1] // 4):
+        four = slice(4 * k, 4 * k + 4)
+        which = joints[index, four].astype("u1" if small else "<u2")
+        attributes[f"JOINTS_{k}"] = builder.accessor(which, UNSIGNED_BYTE if small else UNSIGNED_SHORT, ARRAY_BUFFER)
+        attributes[f"WEIGHTS_{k}"] = builder.accessor(weights[index, four].astype("<f4"), FLOAT, ARRAY_BUFFER)
+    first = 2  # nodes 0 and 1 are the mesh and what holds all joints
+    children: list[list[int]] = [[] for _ in range(len(skeleton.names) + 1)]
+    for j, parent in enumerate(skeleton.parents):
+        children[parent].append(first + j)  # of -1: the last list
+    curves = {"translation": skeleton.translations, "rotation": skeleton.rotations, "scale": skeleton.scales}
+    nodes = [node | {"skin": 0}, {"name": "skeleton", "children": children[-1]}]
+    for j, name in enumerate(skeleton.names):
+        own = {key: curve[0, j].tolist() for key, curve in curves.items()}
+        nodes.append({"name": name, **own, **_some("children", children[j] or None)})
+    inverse = np.linalg.inv(skeleton.bind).swapaxes(1, 2).reshape(-1, 16)
+    skin = {
+        "name": model.name, "skeleton": 1, "joints": [first + j for j in range(len(skeleton.names))],
+        "inverseBindMatrices": builder.accessor(inverse.astype("<f4"), FLOAT),
+    }  # fmt: skip
+    more = {"nodes": nodes, "skins": [skin], "scenes": [{"nodes": [0, 1]}]}
+    animation = _animation(builder, rigging.rig.times, curves, first)
+    return more | ({"animations": [animation]} if animation else {})
+
+
+def _animation(builder: _Builder, times: np.ndarray, curves: dict[str, np.ndarray], first: int) -> dict | None:
+    """Channels of all that moves; None where nothing does."""
+    samplers: list[dict] = []
+    channels: list[dict] = []
+    time = None
+    for path, curve in curves.items():
+        for j in np.flatnonzero(np.ptp(curve, axis=0).max(1) > 1e-7):
+            if time is None:
+                time = builder.accessor(times.astype("<f4"), FLOAT, bounds=True)
+            channels.append({"sampler": len(samplers), "target": {"node": int(first + j), "path": path}})
+            output = builder.accessor(np.asarray(curve[:, j], "<f4"), FLOAT)
+            samplers.append({"input": time, "output": output, "interpolation": "LINEAR"})
+    return {"name": "clip", "samplers": samplers, "channels": channels} if channels else None
 
 
 def _material(builder: _Builder, model: Model, textures: Textures) -> dict:

@@ -7,18 +7,19 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 from .. import __version__
 from ..errors import MeshError
 from ..latent.model import Model
 from .files import side_file_stem, write_atomic
 from .textures import encode_textures, png
+from .usd_skeleton import bind_skeleton
 
 
 def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> Path:
     """
-    Write a model as USD + PNG: welded mesh, indexed face-varying ``st`` with v up, +Y up.
+    Write a model as USD + PNG: welded mesh, indexed face-varying ``st`` with v up, +Y up; a character as UsdSkel.
 
     UsdPreviewSurface has no textured dielectric specular, so gamma of dielectrics is lost.
 
@@ -55,12 +56,15 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     layer = stage.GetRootLayer()
     layer.customLayerData = {"creator": f"mi_simplify {__version__}", **(extras or {})}
-    root = UsdGeom.Xform.Define(stage, "/" + Tf.MakeValidIdentifier(model.name or "model"))
+    kind = UsdGeom.Xform if model.skin is None else UsdSkel.Root
+    root = kind.Define(stage, "/" + Tf.MakeValidIdentifier(model.name or "model"))
     stage.SetDefaultPrim(root.GetPrim())
     Usd.ModelAPI(root).SetKind("component")
     mesh = _mesh(stage, root.GetPath().AppendChild("mesh"), model)
     material = _material(stage, root.GetPath().AppendChild("material"), model, stem, emission)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    if model.skin is not None:
+        bind_skeleton(stage, root, mesh, model.mesh, model.skin)
 
     def export(temporary: Path) -> None:
         try:

@@ -23,6 +23,7 @@ from ..scenes.reference import OwnViews, Reference
 from ..scenes.views import Views, goniometer
 from ..upload import upload
 from .ambient import AmbientSteps
+from .follow import following
 from .laplacian import Laplacian
 from .losses import frame_loss, image_loss, srgb
 from .pool import ViewPool
@@ -91,14 +92,16 @@ class Fit:
                 spp=config.reference.spp, max_depth=config.reference.max_depth, form=config.latent.shading,
             )  # fmt: skip
         sized = partial(at_sizes, draw, config.optimizer.least_resolution)
-        self.pool = ViewPool(reference, sized, config.reference.pool, np.random.default_rng(config.seed), residual)
+        of_batch, of_one = (following(draw, model.skin, n) for draw, n in ((sized, config.optimizer.batch), (draw, 1)))
+        self.pool = ViewPool(reference, of_batch, config.reference.pool, np.random.default_rng(config.seed), residual)
         held_out = config.evaluation
         resolution = min(held_out.resolution, max(config.optimizer.resolution))
         n_held_out = min(held_out.views, 8)
         if isinstance(reference, OwnViews):
             self.held_out = reference.held_out(n_held_out, resolution)
         else:
-            (self.held_out,) = draw(n_held_out, np.random.default_rng(config.seed + 1), resolution)
+            rng = np.random.default_rng(config.seed + 1)
+            self.held_out = Views.concatenate(of_one(n_held_out, rng, resolution))
         images = np.mean([reference.render(self.held_out, seed=k + 1) for k in range(_HELD_OUT_RENDERS)], axis=0)
         self._unknown = np.isnan(images).any(axis=3)[..., None]
         self._held_out_images = np.where(self._unknown, 0, images)
@@ -121,7 +124,7 @@ class Fit:
         self._cut(config.opacity.steepness**progress)
         pose = self.shape.pose(views)
         self.renderer.move(dr.detach(pose.positions))
-        surface = self.latent.evaluate(pose.positions)
+        surface = self.latent.evaluate(pose.positions, pose.base, pose.parameters, views)
         spp = max(config.optimizer.spp, min(_CAREFUL_SPP, round(config.optimizer.spp / self.caution)))
         frame = self.renderer.render(surface, self.latent.textures, views.under(ambient), spp=spp, seed=seed)
 
@@ -162,9 +165,9 @@ class Fit:
     def _moved(self, views: Views) -> tuple[mi.Float, Surface]:
         """The current shape as views of one frame show it, which the renderer then holds."""
         with dr.suspend_grad():
-            positions = self.shape.positions(views)
-            self.renderer.move(positions)
-            return positions, self.latent.evaluate(positions)
+            pose = self.shape.still(views)
+            self.renderer.move(pose.positions)
+            return pose.positions, self.latent.evaluate(pose.positions, pose.base, pose.parameters, views)
 
     def _state(self, views: Views) -> tuple[Model, Surface, Textures]:
         positions, surface = self._moved(views)

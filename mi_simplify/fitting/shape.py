@@ -28,13 +28,18 @@ class Pose:
         Rendered positions, a leaf: the renderer adds its gradients here.
     base : mi.Float
         Base positions, a leaf: a regulariser may add its gradients here.
+    parameters : dict of str to mi.Float
+        Of the operation, leaves.
+    views : Views
+        That it was evaluated for.
     """
 
     positions: mi.Float
     base: mi.Float
+    parameters: dict[str, mi.Float]
+    views: Views
     _made: mi.Float
     _smooth: mi.Float
-    _parameters: dict[str, mi.Float]
 
 
 class ShapeSteps:
@@ -79,15 +84,17 @@ class ShapeSteps:
         positions = mi.Float(dr.detach(made))
         if self.moves:
             dr.enable_grad(positions)
-        return Pose(positions, base, made, smooth, parameters)
+        return Pose(positions, base, parameters, views, made, smooth)
 
-    def positions(self, views: Views) -> mi.Float:
+    def still(self, views: Views) -> Pose:
         """
-        Rendered positions alone, detached.
+        The shape as views show it, without gradients.
         """
         with dr.suspend_grad():
+            base = dr.detach(self.vertices.positions())
             parameters = {name: adam.value for name, adam in self._others.items()}
-            return self.operation.positions(dr.detach(self.vertices.positions()), parameters, views)
+            positions = self.operation.positions(base, parameters, views)
+        return Pose(positions, base, parameters, views, positions, base)
 
     def step(self, pose: Pose, factor: float) -> None:
         """
@@ -103,7 +110,7 @@ class ShapeSteps:
         if "vertices" in self._moving:
             self.vertices.step(dr.grad(pose.base), pose._smooth, factor)
         for name in self._others.keys() & set(self._moving):
-            self._others[name].step(dr.grad(pose._parameters[name]), factor)
+            self._others[name].step(dr.grad(pose.parameters[name]), factor)
 
     def values(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """

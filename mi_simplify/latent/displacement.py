@@ -13,7 +13,7 @@ import numpy as np
 from ..scenes.views import Views
 from ..upload import upload
 from .model import Model
-from .surface import MeshTopology
+from .surface import MeshTopology, Surface
 from .tessellation import Tessellation, bilinear
 
 
@@ -65,6 +65,12 @@ class Displaced:
         heights = dr.zeros(mi.Float, self._n)
         dr.scatter_add(heights, total, self._where)
         return dr.ravel(points + normals * heights)
+
+    def surface(
+        self, topology: MeshTopology, positions: mi.Float, base: mi.Float, parameters: dict[str, mi.Float], views: Views
+    ) -> Surface:
+        """See :class:`.operation.MeshOperation`."""
+        return topology.surface(positions)
 
     def written(self, model: Model, parameters: dict[str, np.ndarray]) -> Model:
         """See :class:`.operation.MeshOperation`."""

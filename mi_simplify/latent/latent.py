@@ -11,6 +11,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from ..scenes.views import Views
 from .model import Mesh, Model
 from .operation import operation_of
 from .surface import MeshTopology, Surface
@@ -38,11 +39,25 @@ class Latent:
         self.topology = MeshTopology(self.operation.mesh, density=mips != "none")
         self.textures = Textures(model.base_color, model.specular, model.normal, extended, mips, model.mips)
 
-    def evaluate(self, positions: mi.Float) -> Surface:
+    def evaluate(
+        self,
+        positions: mi.Float,
+        base: mi.Float | None = None,
+        parameters: dict[str, mi.Float] | None = None,
+        views: Views | None = None,
+    ) -> Surface:
         """
         The surface at rendered welded positions, flat, width P·3; differentiable.
+
+        Parameters
+        ----------
+        positions : mi.Float
+        base, parameters, views
+            What the operation made the positions of; without them all of the surface is that of the mesh at these.
         """
-        return self.topology.surface(positions)
+        if base is None or parameters is None or views is None:
+            return self.topology.surface(positions)
+        return self.operation.surface(self.topology, positions, base, parameters, views)
 
     def model(self, base: np.ndarray, parameters: Mapping[str, np.ndarray] | None = None) -> Model:
         """

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..scenes.asset import Asset, Instance, Material, Part
+from .rigging import Rigging
 from .topology import vertex_normals
 
 
@@ -101,6 +102,8 @@ class Model:
         With it ``mesh`` is a base mesh, and the textures belong to what it is displaced into.
     ambient : ndarray, shape (K, 3), float32, optional
         The light besides point lights that it was fitted under, see :mod:`.ambient`.
+    skin : Rigging, optional
+        Skeleton, clip and weights of a character, whose mesh stands in its bind pose.
     """
 
     mesh: Mesh
@@ -113,6 +116,7 @@ class Model:
     mips: tuple[dict[str, np.ndarray], ...] = ()
     ambient: np.ndarray | None = None
     displacement: Displacement | None = None
+    skin: Rigging | None = None
 
     @property
     def n_triangles(self) -> int:
@@ -132,7 +136,8 @@ class Model:
         displacement = self.displacement
         if displacement is not None:
             displacement = replace(displacement, height=(displacement.height * scale).astype(np.float32))
-        return replace(self, mesh=mesh, displacement=displacement)
+        skin = None if self.skin is None else self.skin.transformed(scale, offset)
+        return replace(self, mesh=mesh, displacement=displacement, skin=skin)
 
     def taking(self, fitted: Model, quantities: Collection[str]) -> Model:
         """
@@ -160,12 +165,13 @@ class Model:
 
     def as_asset(self) -> Asset:
         """
-        The model as an asset of one part, displaced, with the normals that the export writes.
+        The model as an asset of one part, displaced, with the normals that the export writes, and its rig.
         """
         if self.displacement is not None:
             from .tessellation import tessellated
 
             return tessellated(self).as_asset()
+        skin = None if self.skin is None else self.skin.skin().taken(self.mesh.position_index)
         part = Part(
             vertices=self.mesh.vertices,
             faces=self.mesh.faces,
@@ -173,8 +179,10 @@ class Model:
             uvs=self.mesh.uvs,
             material=self.material,
             name=self.name,
+            skin=skin,
         )
-        return Asset((part,), (Instance(0, name=self.name),), name=self.name, ambient=self.ambient)
+        rig = None if self.skin is None else self.skin.rig
+        return Asset((part,), (Instance(0, name=self.name),), name=self.name, ambient=self.ambient, rig=rig)
 
 
 #: Which quantities the channels of the textures are.

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..scenes.views import Views
 from .model import Mesh, Model
+from .surface import MeshTopology, Surface
 
 
 class MeshOperation(Protocol):
@@ -45,6 +46,19 @@ class MeshOperation(Protocol):
         """
         ...
 
+    def surface(
+        self, topology: MeshTopology, positions: mi.Float, base: mi.Float, parameters: dict[str, mi.Float], views: Views
+    ) -> Surface:
+        """
+        What is rendered at the positions that :meth:`positions` made of the rest; differentiable in all three.
+
+        Parameters
+        ----------
+        topology : MeshTopology
+            Of ``mesh``.
+        """
+        ...
+
     def written(self, model: Model, parameters: dict[str, np.ndarray]) -> Model:
         """
         The model with these parameters; its positions are up to date.
@@ -65,6 +79,12 @@ class Identity:
         """See :class:`MeshOperation`."""
         return base
 
+    def surface(
+        self, topology: MeshTopology, positions: mi.Float, base: mi.Float, parameters: dict[str, mi.Float], views: Views
+    ) -> Surface:
+        """See :class:`MeshOperation`."""
+        return topology.surface(positions)
+
     def written(self, model: Model, parameters: dict[str, np.ndarray]) -> Model:
         """See :class:`MeshOperation`."""
         return model
@@ -78,4 +98,8 @@ def operation_of(model: Model) -> MeshOperation:
         from .displacement import Displaced
 
         return Displaced(model)
+    if model.skin is not None:
+        from .skinning import Skinning
+
+        return Skinning(model, model.skin)
     return Identity(model)

@@ -4,6 +4,7 @@ Whether a written file shows what was fitted.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import drjit as dr
@@ -18,6 +19,7 @@ from ..latent.tangents import vertex_tangents
 from ..latent.textures import Textures
 from ..scenes.asset import Asset, Part
 from ..scenes.gltf_file import GltfFile
+from ..scenes.rig import BIND_POSE, turn
 from ..scenes.shapes import part_normals
 from ..scenes.views import Views, held_out_views
 from ..upload import upload
@@ -32,7 +34,8 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     How alike the latent model and a file of it are, lit directly.
 
     Both are rendered by the renderer of the fit from the same sample positions, so that the difference is the file's.
-    Of the file nothing but its vertices, normals, tangents, texture coordinates and images is used.
+    Of the file nothing but its vertices, normals, tangents, texture coordinates and images is used, and its skeleton; a
+    character is compared in two frames of its clip, with the weights that its file keeps.
 
     Parameters
     ----------
@@ -50,12 +53,31 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     float
         PSNR of what a screen shows, mean over the views [dB]; 100 where nothing differs.
     """
-    views = held_out_views(written.bounds, n_views, resolution)
+    if model.skin is not None:
+        model = replace(model, skin=model.skin.pruned())
     latent = Latent(model, _extended(model.base_color, model.specular))
-    positions = upload(mi.Float, latent.topology.mesh.positions.ravel())
-    fitted = _render(latent.topology, latent.evaluate(positions), latent.textures, positions, views, form)
-    (part,) = written.placed()
-    return float(psnr(fitted, _render(*as_written(part, stored_tangents(written)), views, form)).mean())
+    operation, rig = latent.operation, written.rig
+    base = upload(mi.Float, operation.base.positions.ravel())
+    parameters = {name: upload(mi.Float, value) for name, value in operation.parameters.items()}
+    found = []
+    for frame in _frames(written):
+        shown = written.posed(frame)
+        views = held_out_views(shown.bounds, n_views, resolution).at(frame)
+        positions = operation.positions(base, parameters, views)
+        surface = latent.evaluate(positions, base, parameters, views)
+        fitted = _render(latent.topology, surface, latent.textures, positions, views, form)
+        (part,), tangents = shown.placed(), stored_tangents(written)
+        skin = written.parts[0].skin
+        if rig is not None and skin is not None and tangents is not None:
+            turned = turn(tangents[:, :3], skin, rig.matrices(frame)[:, :3, :3])
+            tangents = np.concatenate([turned, tangents[:, 3:]], axis=1)
+        found.append(psnr(fitted, _render(*as_written(part, tangents), views, form)).mean())
+    return float(np.mean(found))
+
+
+def _frames(written: Asset) -> list[int]:
+    """Frames to compare in: two of a clip, else how the file stands, which is in the bind pose without a rig."""
+    return [BIND_POSE] if written.rig is None else sorted({written.rig.n_frames // 4, 3 * written.rig.n_frames // 4})
 
 
 def stored_tangents(written: Asset) -> np.ndarray | None:

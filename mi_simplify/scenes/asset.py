@@ -13,6 +13,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from .rig import Rig, Skin, deform, normal_matrices, turn
+
 #: Bytes that a placement takes.
 PER_INSTANCE = 800
 
@@ -66,6 +68,8 @@ class Part:
         Texture coordinates, origin top left, any range (textures repeat).
     colors : ndarray, shape (V, 4), float32, or None
         Linear vertex colours and opacity, multiplied onto the base colour.
+    skin : Skin, optional
+        Which joints of the asset's rig pull at the vertices, where it has one.
     """
 
     vertices: np.ndarray
@@ -75,6 +79,7 @@ class Part:
     colors: np.ndarray | None = None
     material: Material = field(default_factory=Material)
     name: str = "part"
+    skin: Skin | None = None
 
 
 @dataclass(frozen=True)
@@ -87,7 +92,10 @@ class Instance:
     part : int
         Index into ``Asset.parts``.
     to_world : ndarray, shape (4, 4), float64
-        Affine transform, column vectors; may mirror.
+        Affine transform, column vectors; may mirror. In an asset with a rig: in the bind pose.
+    joint : int, optional
+        Joint of the asset's rig that carries the whole part, where that has no skin; every instance of an asset with a
+        rig has the one or the other.
     node : str
         Where it hangs in the file's tree of nodes: their names from the root on, with slashes between; empty where
         there is no tree.
@@ -97,6 +105,7 @@ class Instance:
     to_world: np.ndarray = field(default_factory=lambda: np.eye(4))
     name: str = "instance"
     node: str = ""
+    joint: int | None = None
 
 
 @dataclass(frozen=True)
@@ -113,6 +122,8 @@ class Asset:
     """What the reader left out or repaired, one line each, for the log and the report."""
     ambient: np.ndarray | None = None
     """Of a fitted model: the light besides point lights that belongs to it, (K, 3), see :mod:`..latent.ambient`."""
+    rig: Rig | None = None
+    """Skeleton and animation of a character; the asset itself then stands in its bind pose, see :meth:`posed`."""
 
     @property
     def n_triangles(self) -> int:
@@ -151,4 +162,59 @@ class Asset:
         The asset with an affine transform, shape (4, 4), put in front of every instance.
         """
         moved = tuple(replace(i, to_world=to_world @ i.to_world) for i in self.instances)
-        return replace(self, instances=moved)
+        rig = None if self.rig is None else self.rig.transformed(to_world)
+        return replace(self, instances=moved, rig=rig)
+
+    def posed(self, frame: float = 0) -> Asset:
+        """
+        The asset as it stands in a frame, without a rig.
+
+        Parameters
+        ----------
+        frame : float
+            Index into the clip of the rig, see :meth:`.rig.Rig.matrices`; an asset without one stays as it is.
+        """
+        if self.rig is None:
+            return self
+        if frame < 0:
+            return replace(self, rig=None)
+        matrices = self.rig.matrices(frame)
+        parts, instances = list(self.parts), []
+        placed = self.placed()
+        for instance, part in zip(self.instances, placed, strict=True):
+            if part.skin is None:
+                moved = instance.to_world if instance.joint is None else matrices[instance.joint] @ instance.to_world
+                instances.append(replace(instance, to_world=moved, joint=None))
+            else:
+                vertices, normals = deform(part.vertices, part.skin, matrices), part.normals
+                if normals is not None:
+                    normals = turn(normals, part.skin, normal_matrices(matrices))
+                instances.append(Instance(len(parts), name=instance.name))
+                parts.append(replace(part, vertices=vertices, normals=normals, skin=None))
+        return replace(self, parts=tuple(parts), instances=tuple(instances), rig=None)
+
+    def influences(self) -> np.ndarray:
+        """
+        Weights of all placed vertices over all joints, one part after the other as :meth:`placed` has them.
+
+        Returns
+        -------
+        ndarray, shape (V, J), float32
+        """
+        n = len(rig_of(self).names)
+        out = []
+        for instance in self.instances:
+            part = self.parts[instance.part]
+            if part.skin is not None:
+                out.append(part.skin.matrix(n).toarray().astype(np.float32))
+            else:
+                out.append(np.tile(np.eye(n, dtype=np.float32)[instance.joint], (len(part.vertices), 1)))
+        return np.concatenate(out)
+
+
+def rig_of(asset: Asset) -> Rig:
+    """
+    The rig of an asset that is known to have one.
+    """
+    assert asset.rig is not None, f"{asset.name} has no rig"
+    return asset.rig

@@ -15,9 +15,10 @@ from ..latent.harmonics import COUNTS
 from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Part
 from .gltf_file import GltfFile
 from .gltf_material import read_material
+from .gltf_skeleton import Skeletons, local_matrix, trs
 from .images import constant
 from .mapping import Mapping
-from .validate import MAX_COORDINATE, check_indices, used_vertices
+from .validate import check_indices, used_vertices
 
 _MODES = {0: "points", 1: "lines", 2: "line loop", 3: "line strip", 4: "triangles", 5: "strip", 6: "fan"}
 
@@ -26,8 +27,8 @@ def read_gltf(path: Path) -> Asset:
     """
     Read the default scene of a GLB or glTF file.
 
-    A primitive placed by several nodes becomes one part with several instances. Skinned meshes are posed as the nodes
-    stand, that is in their rest pose; morph targets and animations are left out with a note.
+    A primitive placed by several nodes becomes one part with several instances. Skinned meshes stand in their bind
+    pose, and the asset has a rig; morph targets, and animations of what has no skin, are left out with a note.
 
     Raises
     ------
@@ -47,23 +48,39 @@ class _Scene:
         self.instances: list[Instance] = []
         self._of_mesh: dict[int, list[int]] = {}
         self._materials: dict[int | None, tuple] = {}
+        self._parents: dict[int, int] = {}
+        self._carriers: list[int | None] = []
+        """Of each instance, the node whose transform it follows; None where it has a skin."""
 
     def read(self, path: Path) -> Asset:
         world = self._world()
+        self._skeletons = Skeletons(self.file, self._parents, world)
         for index, to_world in world.items():
             node = self.file.item("nodes", index)
             if node.get("mesh") is None:
                 continue
             name = node.get("name") or f"node_{index}"
             if node.get("skin") is not None:
-                self._skinned(node, name, to_world, world)
+                self._skinned(index, node, name, to_world)
                 continue
             for placement in self._gpu_instances(node):
                 for part in self._parts_of(node["mesh"]):
-                    self.instances.append(Instance(part, to_world @ placement, name))
-        if self.file.json.get("animations"):
-            self.file.resources.note("animations were left out; the model stands as its nodes do")
-        return Asset(tuple(self.parts), tuple(self.instances), notes=tuple(self.notes), ambient=self._ambient())
+                    self._place(part, to_world @ placement, name, index)
+        notes = self.notes
+        if all(part.skin is None for part in self.parts):
+            if self.file.json.get("animations"):
+                self.file.resources.note("animations were left out; the model stands as its nodes do")
+            return Asset(tuple(self.parts), tuple(self.instances), notes=tuple(notes), ambient=self._ambient())
+        rig, new, joints = self._skeletons.rig([c for c in self._carriers if c is not None])
+        parts = [
+            p if p.skin is None else replace(p, skin=replace(p.skin, joints=new[p.skin.joints])) for p in self.parts
+        ]
+        left = iter(joints)
+        instances = [
+            i if c is None else replace(i, joint=next(left))
+            for i, c in zip(self.instances, self._carriers, strict=True)
+        ]
+        return Asset(tuple(parts), tuple(instances), notes=tuple(notes), ambient=self._ambient(), rig=rig)
 
     def _ambient(self) -> np.ndarray | None:
         """The light besides point lights that a model of ours was fitted under."""
@@ -89,14 +106,14 @@ class _Scene:
             nodes = json.get("nodes", [])
             roots = sorted(set(range(len(nodes))) - {c for n in nodes for c in n.get("children", [])})
         world: dict[int, np.ndarray] = {}
-        todo = [(root, np.eye(4)) for root in reversed(roots)]
+        todo = [(root, -1, np.eye(4)) for root in reversed(roots)]
         while todo:
-            index, parent = todo.pop()
+            index, above, parent = todo.pop()
             if index in world:
                 raise AssetError(f"{self.file.name}: nodes[{index}] has two parents or lies on a loop; export it again")
             node = self.file.item("nodes", index)
-            world[index] = parent @ _local(node)
-            todo += [(child, world[index]) for child in reversed(node.get("children", []))]
+            world[index], self._parents[index] = parent @ local_matrix(node), above
+            todo += [(child, index, world[index]) for child in reversed(node.get("children", []))]
         return world
 
     def _gpu_instances(self, node: dict) -> np.ndarray:
@@ -111,7 +128,7 @@ class _Scene:
             return np.eye(4)[None]
         n = counts.pop()
         memory.require(PER_INSTANCE * n, f"{self.file.name}: a node of {n} instances", FEWER_INSTANCES)
-        return _trs(n, *columns)
+        return trs(n, *columns)
 
     def _parts_of(self, mesh_index: int) -> list[int]:
         """Indices of the parts of a mesh, read at its first use."""
@@ -185,19 +202,12 @@ class _Scene:
             return None
         return uvs if mapping is None else mapping.apply(uvs, name, self.file.resources)
 
-    def _skinned(self, node: dict, name: str, to_world: np.ndarray, world: dict[int, np.ndarray]) -> None:
+    def _skinned(self, index: int, node: dict, name: str, to_world: np.ndarray) -> None:
         """
-        The mesh of a skinned node, posed by its joints as they stand; its own transform does not count (glTF 3.7.3.3).
+        The mesh of a skinned node in its bind pose; the node's own transform does not count (glTF 3.7.3.3).
         """
-        file = self.file
-        skin = file.item("skins", node["skin"])
-        joints = skin.get("joints", [])
-        if not joints or not all(j in world for j in joints):
-            raise AssetError(f"{file.name}: the skin of '{name}' has joints that are not in the scene; export it again")
-        matrices = np.stack([world[j] for j in joints])
-        if skin.get("inverseBindMatrices") is not None:
-            inverse = file.accessor(skin["inverseBindMatrices"]).astype(np.float64)
-            matrices = matrices @ inverse[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)
+        file, skeletons = self.file, self._skeletons
+        _, placement = skeletons.of(node["skin"], name)
         mesh = file.item("meshes", node["mesh"])
         for k, primitive in enumerate(mesh.get("primitives", [])):
             part, used = self._primitive(primitive, f"{name}_{k}" if len(mesh["primitives"]) > 1 else name)
@@ -206,40 +216,23 @@ class _Scene:
             attributes = primitive["attributes"]
             sets = [s for s in range(4) if f"JOINTS_{s}" in attributes and f"WEIGHTS_{s}" in attributes]
             if not sets:
-                file.resources.note(f"'{name}' has a skin but no joint weights; it stands as its node does")
-                self._add(part, to_world, name)
+                file.resources.note(f"'{name}' has a skin but no joint weights; it moves as its node does")
+                self._place(self._added(part), to_world, name, index)
                 continue
             which, weights = (
                 np.concatenate([file.accessor(attributes[f"{key}_{s}"])[used] for s in sets], axis=1)
                 for key in ("JOINTS", "WEIGHTS")
             )
-            if not (np.isfinite(weights).all() and (np.abs(matrices) < MAX_COORDINATE).all()):
-                raise MeshError(f"{file.name}: the skin of '{name}' is not finite; reset its pose and export again")
-            which = np.where(weights > 0, which, 0).astype(np.int64)
-            check_indices(which.reshape(-1), len(joints), file.name, name, "joint")
-            self._add(_posed(part, matrices, which, weights.astype(np.float64)), np.eye(4), name)
-        file.resources.note(f"'{name}' is skinned; it is shown in its rest pose")
+            part = replace(part, skin=skeletons.skin(node["skin"], which, weights, part.vertices, name))
+            self._place(self._added(part), placement, name, None)
 
-    def _add(self, part: Part, to_world: np.ndarray, name: str) -> None:
-        self.instances.append(Instance(len(self.parts), to_world, name))
+    def _added(self, part: Part) -> int:
         self.parts.append(part)
+        return len(self.parts) - 1
 
-
-def _posed(part: Part, matrices: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> Part:
-    """Linear blend skinning; ``matrices`` (J, 4, 4), ``joints`` and ``weights`` (V, K)."""
-    total = weights.sum(axis=1, keepdims=True)
-    weights = np.where(total > 0, weights / np.where(total > 0, total, 1), 1 / weights.shape[1])
-    blend = np.einsum("vk,vkij->vij", weights, matrices[joints])
-    vertices = np.einsum("vij,vj->vi", blend[:, :3, :3], part.vertices) + blend[:, :3, 3]
-    linear = blend[:, :3, :3]
-    mirrored = np.linalg.det(linear) < 0
-    normals = part.normals
-    if normals is not None:
-        # Cofactors transform normals as the inverse transpose does, up to a length, and exist for singular blends too.
-        cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
-        normals = np.einsum("vij,vj->vi", cofactors, normals) * np.where(mirrored, -1, 1)[:, None]
-    faces = part.faces[:, ::-1] if mirrored.mean() > 0.5 else part.faces
-    return replace(part, vertices=vertices, faces=faces, normals=normals)
+    def _place(self, part: int, to_world: np.ndarray, name: str, carrier: int | None) -> None:
+        self.instances.append(Instance(part, to_world, name))
+        self._carriers.append(carrier)
 
 
 def _triangles(index: np.ndarray, mode: int) -> np.ndarray:
@@ -251,28 +244,3 @@ def _triangles(index: np.ndarray, mode: int) -> np.ndarray:
         return np.stack([index[k + 1], index[k + 2], np.broadcast_to(index[:1], k.shape)], axis=1)
     odd = k % 2
     return np.stack([index[k], index[k + 1 + odd], index[k + 2 - odd]], axis=1)
-
-
-def _local(node: dict) -> np.ndarray:
-    """A node's own transform, shape (4, 4)."""
-    if node.get("matrix") is not None:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    keys = ("translation", "rotation", "scale")
-    return _trs(1, *(None if node.get(k) is None else np.array([node[k]], np.float64) for k in keys))[0]
-
-
-def _trs(n: int, translation: np.ndarray | None, rotation: np.ndarray | None, scale: np.ndarray | None) -> np.ndarray:
-    """Matrices of translations (N, 3), unit quaternions xyzw (N, 4) and scales (N, 3); shape (N, 4, 4)."""
-    out = np.tile(np.eye(4), (n, 1, 1))
-    if rotation is not None:
-        x, y, z, w = (rotation / np.maximum(np.linalg.norm(rotation, axis=1, keepdims=True), 1e-20)).T
-        out[:, :3, :3] = np.moveaxis(np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]), -1, 0)  # fmt: skip
-    if scale is not None:
-        out[:, :3, :3] *= scale[:, None, :]
-    if translation is not None:
-        out[:, :3, 3] = translation
-    return out

@@ -19,8 +19,10 @@ from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, M
 from .mapping import Mapping
 from .polygons import fan, smooth_normals, split_corners, unique_rows
 from .resources import Resources
+from .rig import Skin
 from .usd_layers import LONGEST, check_layers, reason_of, rehearse
 from .usd_material import display_material, read_usd_material
+from .usd_skeleton import Skeletons
 from .validate import check_indices
 
 _TIME = Usd.TimeCode.EarliestTime()
@@ -33,8 +35,9 @@ def read_usd(path: Path) -> Asset:
     """
     Read the meshes of a stage at its earliest time; the unit of length stays what it is.
 
-    Instances (scenegraph and point instancers) share parts. Skinned meshes stand in their bind pose; subdivision
-    surfaces are taken as their control cage. Warnings of the library become notes instead of lines on the screen.
+    Instances (scenegraph and point instancers) share parts. Skinned meshes stand in their bind pose, and the asset has
+    a rig; subdivision surfaces are taken as their control cage. Warnings of the library become notes instead of lines
+    on the screen.
 
     Raises
     ------
@@ -57,7 +60,7 @@ def read_usd(path: Path) -> Asset:
         _note_diagnostics(diagnostics, resources)
     except Tf.ErrorException as error:
         raise AssetError(f"{path.name}: USD cannot read it: {reason_of(error)}") from error
-    return Asset(asset.parts, asset.instances, notes=tuple(notes))
+    return replace(asset, notes=tuple(notes))
 
 
 def _note_diagnostics(delegate: UsdUtils.CoalescingDiagnosticDelegate, resources: Resources) -> None:
@@ -77,15 +80,28 @@ class _Stage:
         self.parts: list[Part] = []
         self.instances: list[Instance] = []
         self._xforms = UsdGeom.XformCache(_TIME)
-        self._skeletons = UsdSkel.Cache()
-        self._skel_roots: set = set()
+        up_axis = UsdGeom.GetStageUpAxis(stage)
+        self.up = _Z_UP if up_axis == UsdGeom.Tokens.z else np.eye(4)
+        self._skeletons = Skeletons(stage, resources, self.up)
+        self._carriers: list[Usd.Prim | None] = []
+        """Of each instance, the prim whose transform it follows; None where it has a skin."""
         self._of_mesh: dict[tuple, list[int]] = {}
         self._materials: dict[str, tuple] = {}
 
     def read(self) -> Asset:
-        up = _Z_UP if UsdGeom.GetStageUpAxis(self.stage) == UsdGeom.Tokens.z else np.eye(4)
-        self._collect(self.stage.GetPseudoRoot(), up)
-        return Asset(tuple(self.parts), tuple(self.instances))
+        self._collect(self.stage.GetPseudoRoot(), self.up)
+        if all(part.skin is None for part in self.parts):
+            return Asset(tuple(self.parts), tuple(self.instances))
+        rig, new, joints = self._skeletons.rig([c for c in self._carriers if c is not None])
+        parts = [
+            p if p.skin is None else replace(p, skin=replace(p.skin, joints=new[p.skin.joints])) for p in self.parts
+        ]
+        left = iter(joints)
+        instances = [
+            i if c is None else replace(i, joint=next(left))
+            for i, c in zip(self.instances, self._carriers, strict=True)
+        ]
+        return Asset(tuple(parts), tuple(instances), rig=rig)
 
     def _collect(self, root: Usd.Prim, to_world: np.ndarray, depth: int = 0) -> None:
         """Place everything visible below a prim, its world transforms put behind ``to_world``."""
@@ -103,30 +119,31 @@ class _Stage:
                 prims.PruneChildren()
                 self._point_instances(UsdGeom.PointInstancer(prim), to_world, depth)
             elif prim.IsA(UsdGeom.Mesh):
-                placement = to_world @ self._placement(prim)
-                self.instances += [Instance(part, placement, prim.GetName()) for part in self._parts_of(prim)]
+                self._place(prim, to_world, depth)
             elif prim.IsA(UsdGeom.Gprim):
                 self.resources.note(f"'{prim.GetPath()}' was left out: a {prim.GetTypeName()} is no mesh")
 
     def _world(self, prim: Usd.Prim) -> np.ndarray:
         return _matrix(self._xforms.GetLocalToWorldTransform(prim))
 
-    def _placement(self, prim: Usd.Prim) -> np.ndarray:
-        """World transform of a mesh; a skinned one follows its skeleton instead of its parents."""
-        root = UsdSkel.Root.Find(prim)
-        if not root:
-            return self._world(prim)
-        if root.GetPath() not in self._skel_roots:
-            self._skel_roots.add(root.GetPath())
-            self._skeletons.Populate(root, _ALL)
-        query = self._skeletons.GetSkinningQuery(prim)
-        skeleton = UsdSkel.BindingAPI(prim).GetInheritedSkeleton()
-        if not query or not query.HasJointInfluences() or not skeleton:
-            return self._world(prim)
-        self.resources.note(f"'{prim.GetName()}' is skinned; it is shown in its bind pose")
-        if query.HasBlendShapes():
-            self.resources.note(f"blend shapes of '{prim.GetName()}' were left out")
-        return self._world(skeleton.GetPrim()) @ _matrix(query.GetGeomBindTransform(_TIME))
+    def _place(self, prim: Usd.Prim, to_world: np.ndarray, depth: int) -> None:
+        """One mesh as instances, of which a skinned one follows its skeleton instead of its parents."""
+        query = self._skeletons.query(prim)
+        if query is not None and depth:
+            self.resources.note(f"'{prim.GetName()}' is skinned and placed many times; it stands in its bind pose")
+            query = None
+        if query is None:
+            placement, parts, carrier = to_world @ self._world(prim), self._parts_of(prim), prim
+        else:
+            placement, carrier = self._skeletons.placement(prim, query), None
+            parts = self._added(self._mesh(prim, query))
+        self.instances += [Instance(part, placement, prim.GetName()) for part in parts]
+        self._carriers += [carrier] * len(parts)
+
+    def _added(self, parts: list[Part]) -> list[int]:
+        """The numbers of new parts."""
+        self.parts += parts
+        return list(range(len(self.parts) - len(parts), len(self.parts)))
 
     def _point_instances(self, instancer: UsdGeom.PointInstancer, to_world: np.ndarray, depth: int) -> None:
         name = instancer.GetPrim().GetName()
@@ -152,23 +169,23 @@ class _Stage:
             # The instance transforms hold the prototype's own one already.
             self._collect(prototype, np.linalg.inv(self._world(prototype)), depth + 1)
             members, self.instances = self.instances[before:], self.instances[:before]
+            self._carriers = self._carriers[:before]
             n = len(members) * int((shown & (which == number)).sum())
             what = f"{self.resources.model.name}: point instancer '{name}' of {n:,} instances"
             memory.require(PER_INSTANCE * n, what, FEWER_INSTANCES)
             for placement in placements[shown & (which == number)]:
                 self.instances += [Instance(m.part, placement @ m.to_world, m.name) for m in members]
+                self._carriers += [instancer.GetPrim()] * len(members)
 
     def _parts_of(self, prim: Usd.Prim) -> list[int]:
         """Indices of the parts of a mesh, read at its first use; instances of a prototype share them."""
         own = prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim
         key = own.GetPath(), _path(_bound_material(prim))
         if key not in self._of_mesh:
-            parts = self._mesh(prim)
-            self._of_mesh[key] = list(range(len(self.parts), len(self.parts) + len(parts)))
-            self.parts += parts
+            self._of_mesh[key] = self._added(self._mesh(prim))
         return self._of_mesh[key]
 
-    def _mesh(self, prim: Usd.Prim) -> list[Part]:
+    def _mesh(self, prim: Usd.Prim, query: UsdSkel.SkinningQuery | None = None) -> list[Part]:
         mesh, name, model = UsdGeom.Mesh(prim), prim.GetName(), self.resources.model.name
         points = _array(mesh.GetPointsAttr().Get(_TIME), np.float64, 3)
         counts = _array(mesh.GetFaceVertexCountsAttr().Get(_TIME), np.int64)
@@ -200,10 +217,11 @@ class _Stage:
         normals = reader.normals(mesh)
         if normals is None and len(groups) > 1:
             normals = smooth_normals(points, index[corners]), index
-        parts = [self._part(name, m, c, points, index, normals, reader) for m, c in groups]
+        skin = None if query is None else self._skeletons.skin(prim, query, points)
+        parts = [self._part(name, m, c, points, index, normals, reader, skin) for m, c in groups]
         return [p if len(parts) == 1 else _renamed(p, f"{name}_{k}") for k, p in enumerate(parts)]
 
-    def _part(self, name, bound, corners, points, index, normals, reader) -> Part:
+    def _part(self, name, bound, corners, points, index, normals, reader, skin: Skin | None) -> Part:
         """Corners, shape (F, 3), of one material as a part."""
         material, mapping, color_primvar = self._material(bound)
         flat = corners.reshape(-1)
@@ -226,7 +244,8 @@ class _Stage:
             self.resources.note(f"'{name}' has textures but no primvar '{mapping.set}'; they show one texel")
         if colors is not None and colors.shape[1] == 3:
             colors = np.concatenate([colors, np.ones((len(colors), 1))], axis=1)
-        return Part(points[index[chosen]], vertex.reshape(-1, 3), of_vertex[0], uvs, colors, material, name)
+        skin = None if skin is None else skin.taken(index[chosen])
+        return Part(points[index[chosen]], vertex.reshape(-1, 3), of_vertex[0], uvs, colors, material, name, skin)
 
     def _owners(self, prim: Usd.Prim, n_faces: int) -> tuple[np.ndarray, list]:
         """The material of every face as an index into a list of bound materials, None where there is none."""

@@ -5,13 +5,14 @@ What the latent model is fitted to: anything that turns views into images.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Protocol, runtime_checkable
 
 import mitsuba as mi
 import numpy as np
 
 from ..errors import AssetError, UserError
+from ..upload import upload
 from .asset import Asset
 from .mitsuba_file import Node, SceneFile
 from .read_mitsuba import SceneAsset, is_emitting
@@ -98,6 +99,29 @@ class MitsubaReference:
         self.shapes, self.integrator, self.spp = shapes, integrator, spp
         self._scene: mi.Scene | None = None
         self._film = (0, 0)
+        self._moved: dict[str, np.ndarray] = {}
+
+    def light_up(self, sky: float = 0.0, environment: str | None = None) -> None:
+        """
+        Add a constant sky of this radiance, or the environment of an image file, before anything is rendered.
+        """
+        if sky > 0:
+            self.shapes["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [sky] * 3}}
+        if environment is not None:
+            self.shapes["environment"] = {"type": "envmap", "filename": environment}
+
+    def move(self, values: Mapping[str, np.ndarray]) -> None:
+        """
+        New values of scene parameters by key, flat, such as those of :func:`.shapes.mesh_keys`.
+        """
+        self._moved = dict(values)
+        if self._scene is not None:
+            self._apply_moved()
+
+    def _apply_moved(self) -> None:
+        for key, value in self._moved.items():
+            self._params[key] = upload(mi.Float, value)
+        self._params.update()
 
     def _prepare(self, arrays: dict[str, np.ndarray], width: int, height: int) -> None:
         if self._scene is not None and self._film == (width, height):
@@ -107,9 +131,9 @@ class MitsubaReference:
         self._scene = mi.load_dict(scene | {"view_light": light} | self.shapes, optimize=False)
         self._film = (width, height)
         self._params = mi.traverse(self._scene)
-        self._params.keep(
-            ["view_sensor.to_world", "view_sensor.x_fov", "view_light.position", "view_light.intensity.value"]
-        )
+        views = ["view_sensor.to_world", "view_sensor.x_fov", "view_light.position", "view_light.intensity.value"]
+        self._params.keep([*views, *self._moved])
+        self._apply_moved()
 
     def render(self, views: Views, seed: int = 0) -> np.ndarray:
         """
@@ -179,6 +203,9 @@ class CallableReference:
 
 
 def _integrator(transport: str, max_depth: int, transparent: bool) -> dict:
+    """
+    Mitsuba's integrator of a transport, see :func:`make_reference`.
+    """
     if transport not in TRANSPORTS:
         raise UserError(f"unknown transport '{transport}': expected one of {', '.join(TRANSPORTS)}")
     if transport == "direct":
@@ -200,7 +227,7 @@ def make_reference(
     ambient: np.ndarray | None = None,
 ) -> Reference:
     """
-    The reference renderer of an asset; that of a Mitsuba scene renders the scene itself.
+    The reference renderer of an asset; that of a Mitsuba scene renders the scene itself, that of a character poses it.
 
     Parameters
     ----------
@@ -226,18 +253,18 @@ def make_reference(
         reference = scene_reference(asset.file, transport=transport, spp=spp, max_depth=max_depth, lights=lights)
     else:
         transparent = any(p.material.alpha_mode != "OPAQUE" for p in asset.parts)
-        shapes = dict(asset_shapes(asset, form=form))
         integrator = _integrator(transport, max_depth, transparent)
         if ambient is not None:
             integrator["ambient"] = mi.ScalarVector3f(*(float(x) for x in ambient[0]))
-        reference = MitsubaReference(shapes, integrator, spp)
+        if asset.rig is not None:
+            from .animated import AnimatedReference
+
+            return AnimatedReference(asset, integrator, spp, sky=sky, environment=environment, form=form)
+        reference = MitsubaReference(dict(asset_shapes(asset, form=form)), integrator, spp)
     own = [name for name, o in reference.shapes.items() if isinstance(o, mi.Emitter) and o.is_environment()]
     if own and (sky > 0 or environment is not None):
         raise UserError(f"{asset.source}: a scene with an environment of its own takes no other; leave one out")
-    if sky > 0:
-        reference.shapes["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [sky] * 3}}
-    if environment is not None:
-        reference.shapes["environment"] = {"type": "envmap", "filename": environment}
+    reference.light_up(sky, environment)
     return FramedReference(reference, asset.scale, asset.center) if isinstance(asset, SceneAsset) else reference
 
 

@@ -12,8 +12,9 @@ from ..errors import AssetError
 from . import relic
 from .asset import Asset, Instance
 from .plant import FULL, plant
+from .walker import walker
 
-_FULL = {"relic": 180_000, **FULL}
+_FULL = {"relic": 180_000, "walker": 13_700, **FULL}
 """About how many triangles each has in full."""
 
 
@@ -31,8 +32,8 @@ def sample_asset(name: str = "relic") -> Asset:
     Parameters
     ----------
     name : str
-        ``relic``, an ornament, or one of the plants ``shrub`` and ``fern``; with a rough number of triangles
-        ``relic:20k``, ``shrub:5000``. Below 100k the relic's textures have half the size.
+        ``relic``, an ornament, ``walker``, a figure that walks, or one of the plants ``shrub`` and ``fern``; with a
+        rough number of triangles ``relic:20k``, ``shrub:5000``. Below 100k the relic's textures have half the size.
 
     Returns
     -------
@@ -59,6 +60,8 @@ def sample_asset(name: str = "relic") -> Asset:
         share = wanted / _FULL[base]
     if base in FULL:
         return replace(plant(base, share), source=f"sample:{name}")
+    if base == "walker":
+        return replace(walker(share), source=f"sample:{name}")
     detail = float(np.sqrt(share))
     parts = (relic.egg(detail), relic.serpent(detail), relic.eyes(detail), relic.foot(detail))
     instances = tuple(Instance(k, name=p.name) for k, p in enumerate(parts))

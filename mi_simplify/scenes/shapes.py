@@ -20,6 +20,7 @@ from ..latent.topology import vertex_normals, weld
 from .asset import Asset, Instance, Material, Part
 
 POSITIONS, FACES, NORMALS, UVS = "vertex_positions", "faces", "vertex_normals", "vertex_texcoords"
+TANGENTS = "vertex_tangent"
 
 
 def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents=None, colors=None) -> mi.Mesh:
@@ -46,7 +47,7 @@ def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents
         has_vertex_normals=normals is not None, has_vertex_texcoords=uvs is not None,
     )  # fmt: skip
     if tangents is not None:
-        mesh.add_attribute("vertex_tangent", 3, np.ascontiguousarray(tangents, np.float32).ravel())
+        mesh.add_attribute(TANGENTS, 3, np.ascontiguousarray(tangents, np.float32).ravel())
     if colors is not None:
         mesh.add_attribute("vertex_color", 3, np.ascontiguousarray(colors[:, :3], np.float32).ravel())
         mesh.add_attribute("vertex_opacity", 1, np.ascontiguousarray(colors[:, 3], np.float32))
@@ -59,6 +60,18 @@ def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents
         params[UVS] = np.ascontiguousarray(uvs, np.float32).ravel()
     params.update()
     return mesh
+
+
+def mesh_keys(
+    name: str, vertices: np.ndarray, normals: np.ndarray, tangents: np.ndarray | None
+) -> dict[str, np.ndarray]:
+    """
+    Parameters of a scene with a mesh of this name, by key, that move its vertices.
+    """
+    values = {POSITIONS: vertices, NORMALS: normals}
+    if tangents is not None:
+        values[TANGENTS] = tangents
+    return {f"{name}.{key}": np.ascontiguousarray(value, np.float32).ravel() for key, value in values.items()}
 
 
 def mesh_positions(mesh: mi.Mesh) -> mi.Float:
@@ -228,10 +241,15 @@ def _copied(asset: Asset, p: int, placements: tuple[Instance, ...]) -> Part:
 
 
 def _part_mesh(name: str, part: Part, bsdfs: dict[tuple, mi.BSDF], form: str, in_group: bool = False) -> mi.Mesh:
-    normals = part_normals(part)
-    part, tangents = _oriented(part, normals), None
-    if part.material.normal is not None and part.uvs is not None and not in_group:
-        part, normals, tangents = _with_tangents(part, normals)
+    return rendered_mesh(name, *rendered_part(part, with_tangents=not in_group)[:3], bsdfs, form)
+
+
+def rendered_mesh(
+    name: str, part: Part, normals: np.ndarray, tangents: np.ndarray | None, bsdfs: dict[tuple, mi.BSDF], form: str
+) -> mi.Mesh:
+    """
+    The Mitsuba mesh of what :func:`rendered_part` returned; ``bsdfs`` collects those that meshes share.
+    """
     attributes = {"mesh_tangents": tangents is not None, "vertex_colors": part.colors is not None}
     key = (id(part.material), *attributes.values())
     if key not in bsdfs:
@@ -239,17 +257,35 @@ def _part_mesh(name: str, part: Part, bsdfs: dict[tuple, mi.BSDF], form: str, in
     return make_mesh(name, part.vertices, part.faces, normals, part.uvs, bsdfs[key], tangents, part.colors)
 
 
-def _with_tangents(part: Part, normals: np.ndarray) -> tuple[Part, np.ndarray, np.ndarray]:
+def rendered_part(part: Part, with_tangents: bool = True) -> tuple[Part, np.ndarray, np.ndarray | None, np.ndarray]:
     """
-    Vertices merged where all their data are equal, split where the texture is mirrored; normals and tangents of them.
+    A part as Mitsuba renders it.
+
+    Returns
+    -------
+    part : Part
+        Wound as its normals look; where it needs tangents with its vertices merged where all their data are equal, and
+        split where the texture is mirrored.
+    normals : ndarray, shape (V, 3)
+    tangents : ndarray, shape (V, 3), or None
+        Where there is a normal map.
+    source : ndarray, shape (V,), int64
+        Vertex of the part handed in that each one is made of.
     """
+    normals = part_normals(part)
+    part = _oriented(part, normals)
+    if not with_tangents or part.material.normal is None or part.uvs is None:
+        return part, normals, None, np.arange(len(part.vertices))
     colors = [] if part.colors is None else [part.colors]
-    rows, index = weld(np.concatenate([part.vertices, normals, part.uvs, *colors], axis=1))
-    uvs = rows[:, 6:8].astype(np.float32)
-    mesh = split_mirrored(Mesh(rows[:, :3], np.arange(len(rows)), uvs, index[part.faces]))
-    tangents, _ = vertex_tangents(mesh, rows[:, 3:6])
-    row = rows[mesh.position_index]
-    part = replace(part, vertices=mesh.vertices, faces=mesh.faces, uvs=mesh.uvs)
-    if colors:
-        part = replace(part, colors=row[:, 8:].astype(np.float32))
-    return part, row[:, 3:6], tangents
+    skin = [] if part.skin is None else [part.skin.joints, part.skin.weights]
+    _, index = weld(np.concatenate([part.vertices, normals, part.uvs, *colors, *skin], axis=1))
+    _, first = np.unique(index, return_index=True)
+    mesh = split_mirrored(Mesh(part.vertices[first], np.arange(len(first)), part.uvs[first], index[part.faces]))
+    source = first[mesh.position_index]
+    tangents, _ = vertex_tangents(mesh, normals[first])
+    part = replace(
+        part, vertices=mesh.vertices, faces=mesh.faces, uvs=mesh.uvs, normals=normals[source].astype(np.float32),
+        colors=None if part.colors is None else part.colors[source],
+        skin=None if part.skin is None else part.skin.taken(source),
+    )  # fmt: skip
+    return part, normals[source], tangents, source

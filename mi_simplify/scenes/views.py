@@ -127,6 +127,12 @@ class Views:
         }
         return Views.from_arrays(self.arrays() | light, self.width, self.height)
 
+    def at(self, frame: float) -> Views:
+        """
+        The same views of another frame of the animation.
+        """
+        return Views.from_arrays(self.arrays() | {"frame": np.full(len(self), frame)}, self.width, self.height)
+
     def resized(self, width: int, height: int) -> Views:
         """
         The same cameras with another film size.

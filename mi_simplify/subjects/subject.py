@@ -13,7 +13,7 @@ import numpy as np
 from ..config import SAMPLE_PREFIX, Config, code_of
 from ..errors import AssetError
 from ..frame import Frame
-from ..initial import first_guess
+from ..initial import first_guess, quadrics_only
 from ..latent.harmonics import constant_environment
 from ..latent.model import Model
 from ..progress import ProgressCallback
@@ -89,6 +89,13 @@ class Subject:
             return constant_environment(ambient.color)
         return np.array([ambient.color], np.float32) if ambient.kind == "color" else None
 
+    def baseline(self, triangles: int) -> Model:
+        """
+        What a user would take instead, in the normalised frame: see :func:`mi_simplify.initial.quadrics_only`.
+        """
+        target = self.frame.normalised(self.geometry)
+        return quadrics_only(target, triangles, atlas_size=self.config.initial.atlas_size)[0]
+
     def reference(self) -> Reference:
         """
         The renderer of the target images that the configuration asks for, of views in the normalised frame.
@@ -162,6 +169,10 @@ def open_subject(config: Config) -> Subject:
         from .external import ExternalSubject
 
         return ExternalSubject(config, geometry)
+    if geometry.rig is not None:
+        from .character import Character
+
+        return Character(config, geometry)
     return Subject(config, geometry)
 
 

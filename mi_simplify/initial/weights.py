@@ -1,0 +1,77 @@
+"""
+First skinning weights of a reduced mesh: carried over from the asset, or by distance to the bones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..latent.model import Mesh
+from ..latent.topology import vertex_normals
+from ..scenes.asset import Asset
+from ..scenes.rig import Rig
+from .closest import ClosestPoints
+
+#: Distance over which the pull of a bone falls to 1/e, as a share of the skeleton's longest side.
+_REACH = 0.03
+
+
+def carried_weights(asset: Asset, mesh: Mesh) -> np.ndarray:
+    """
+    Weights of the closest point of the asset in its bind pose that faces the same way.
+
+    Parameters
+    ----------
+    asset : Asset
+        With a rig.
+    mesh : Mesh
+        In the frame and the bind pose of the asset.
+
+    Returns
+    -------
+    ndarray, shape (P, J), float32
+        Of sum 1.
+    """
+    parts = [p for p in asset.placed() if len(p.vertices)]
+    starts = np.cumsum([0] + [len(p.vertices) for p in parts[:-1]])
+    faces = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)])
+    surface = ClosestPoints(np.concatenate([p.vertices for p in parts]), faces)
+    normals = vertex_normals(mesh.positions, mesh.position_faces)
+    hit = surface.query(mesh.positions, normals)
+    corners = asset.influences()[faces[hit.face]]  # (P, 3, J)
+    weights = np.einsum("pc,pcj->pj", hit.barycentric, corners)
+    return (weights / weights.sum(1, keepdims=True)).astype(np.float32)
+
+
+def bone_weights(rig: Rig, positions: np.ndarray) -> np.ndarray:
+    """
+    Weights by the distance to the bones in the bind pose, knowing nothing of a surface.
+
+    A joint's bones lead to its children; a joint without any is a point. The pull falls exponentially with the
+    distance beyond that of the closest bone.
+
+    Parameters
+    ----------
+    rig : Rig
+    positions : ndarray, shape (P, 3)
+
+    Returns
+    -------
+    ndarray, shape (P, J), float32
+        Of sum 1.
+    """
+    joints = rig.bind[:, :3, 3]
+    child = np.flatnonzero(rig.parents >= 0)
+    owner, end = rig.parents[child], joints[child]
+    leaves = np.setdiff1d(np.arange(len(joints)), owner)
+    owner, end = np.concatenate([owner, leaves]), np.concatenate([end, joints[leaves]])
+    start = joints[owner]
+    way = end - start
+    share = np.einsum("psi,si->ps", positions[:, None] - start, way) / np.maximum((way**2).sum(1), 1e-30)
+    nearest = start + np.clip(share, 0, 1)[..., None] * way
+    distance = np.linalg.norm(positions[:, None] - nearest, axis=2)  # (P, bones)
+    closest = np.full((len(positions), len(joints)), np.inf)
+    np.minimum.at(closest.T, owner, distance.T)
+    reach = _REACH * max(float(np.ptp(joints, axis=0).max()), 1e-12)
+    weights = np.exp(-(closest - closest.min(1, keepdims=True)) / reach)
+    return (weights / weights.sum(1, keepdims=True)).astype(np.float32)

@@ -1,0 +1,124 @@
+"""
+Linear blend skinning as a mesh operation: from the bind pose to a frame of the clip, with weights that are optimised.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..scenes.rig import BIND_POSE, normal_matrices
+from ..scenes.views import Views
+from ..upload import upload
+from .model import Model
+from .rigging import Rigging
+from .surface import MeshTopology, Surface
+
+#: What all joints together take of a vertex that none of them pulls at: a weight of 0 has no logarithm.
+_LEAST = 1e-3
+
+
+class Skinning:
+    """
+    ``v' = Σ_b w_b M_b v`` over all joints b (Hasselgren et al. 2021, Eq. 2), with ``w = softmax(logits)``.
+
+    The softmax keeps weights positive and of sum 1; those that begin at 0 begin at a thousandth in sum, so that any
+    joint may come to pull at any vertex. Normals and tangents of the posed mesh are those of the bind pose turned by
+    the same weights, as viewers and engines turn those of a file: what is fitted is what they show.
+
+    Parameters
+    ----------
+    model : Model
+        Its positions are those of the bind pose.
+    rigging : Rigging
+        First weights.
+    """
+
+    def __init__(self, model: Model, rigging: Rigging):
+        self.base = self.mesh = model.mesh
+        self._rigging = rigging
+        self._n_joints, self._n_frames = rigging.weights.shape[1], rigging.rig.n_frames
+        self.parameters: dict[str, np.ndarray] = {}
+        self._weights = upload(mi.Float, rigging.weights.ravel())
+        if len(rigging.fitted) > 1:  # a single pose says nothing of weights
+            least = _LEAST / self._n_joints
+            self.parameters["skinning"] = np.log(np.maximum(rigging.weights, least)).astype(np.float32).ravel()
+        moves = np.stack([rigging.rig.matrices(frame) for frame in (*range(self._n_frames), BIND_POSE)])
+        turns = np.zeros_like(moves)
+        turns[:, :, :3, :3] = np.stack([normal_matrices(m) for m in moves])
+        self._moves, self._turns = (upload(mi.Float, m[:, :, :3].ravel()) for m in (moves, turns))  # (T + 1, J, 3, 4)
+        self._position_index = upload(mi.UInt32, model.mesh.position_index)
+
+    def positions(self, base: mi.Float, parameters: dict[str, mi.Float], views: Views) -> mi.Float:
+        """See :class:`.operation.MeshOperation`."""
+        weights = self._of(parameters)
+        lane = dr.arange(mi.UInt32, dr.width(weights))  # one for each joint of each position
+        position = lane // self._n_joints
+        v = dr.gather(mi.Point3f, base, position)
+        return dr.ravel(mi.Point3f(self._blend(self._moves, weights, lane - position * self._n_joints, v, views, 1)))
+
+    def surface(
+        self, topology: MeshTopology, positions: mi.Float, base: mi.Float, parameters: dict[str, mi.Float], views: Views
+    ) -> Surface:
+        """See :class:`.operation.MeshOperation`."""
+        n, lanes = self._n_joints, dr.arange(mi.UInt32, topology.n_vertices * self._n_joints)
+        vertex = lanes // n
+        joint = lanes - vertex * n
+        place = dr.gather(mi.UInt32, self._position_index, vertex)
+        weights = dr.gather(mi.Float, self._of(parameters), place * n + joint)
+        rest = topology.surface(base).packets
+        own = dr.arange(mi.UInt32, topology.n_vertices)
+        p = dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, self._position_index, own))
+        _, n_rest, t_rest = (dr.gather(mi.Vector4f, rest, 3 * own + k) for k in range(3))
+        u = dr.gather(mi.Float, rest, 12 * own + 3)
+        normal, tangent = (
+            mi.Vector3f(self._blend(table, weights, joint, dr.gather(mi.Vector4f, rest, 3 * vertex + k).xyz, views, 0))
+            for table, k in ((self._turns, 1), (self._moves, 2))
+        )
+        normal = _unit(normal, n_rest.xyz)
+        tangent = _unit(tangent - normal * dr.dot(normal, tangent), t_rest.xyz)
+        packets = dr.ravel(mi.ArrayXf([*p, u, *normal, n_rest.w, *tangent, t_rest.w]))
+        return Surface(packets, topology.faces)
+
+    def _blend(
+        self, table: mi.Float, weights: mi.Float, joint: mi.UInt32, v: mi.Vector3f, views: Views, w: int
+    ) -> list[mi.Float]:
+        """``Σ_b w_b M_b (v, w)`` in the views' frame: one lane a joint becomes one for what it pulls at."""
+        frame = dr.gather(mi.Float, views.frame, 0)
+        frame = dr.select(frame < 0, self._n_frames, mi.UInt32(dr.clip(frame, 0, self._n_frames - 1) + 0.5))
+        out = []
+        for k in range(3):
+            row = dr.gather(mi.Vector4f, table, 3 * (frame * self._n_joints + joint) + k)
+            out.append(dr.block_sum(weights * (dr.dot(row.xyz, v) + row.w * w), self._n_joints))
+        return out
+
+    def _of(self, parameters: dict[str, mi.Float]) -> mi.Float:
+        return self.weights(parameters["skinning"]) if parameters else self._weights
+
+    def weights(self, logits: mi.Float) -> mi.Float:
+        """
+        Weights of all joints for each position, flat, width P·J.
+        """
+        n = self._n_joints
+        position = dr.arange(mi.UInt32, dr.width(logits)) // n
+        largest = dr.block_reduce(dr.ReduceOp.Max, dr.detach(logits), n)
+        e = dr.exp(logits - dr.gather(mi.Float, largest, position))
+        return e / dr.gather(mi.Float, dr.block_sum(e, n), position)
+
+    def written(self, model: Model, parameters: dict[str, np.ndarray]) -> Model:
+        """See :class:`.operation.MeshOperation`."""
+        if not parameters:
+            return model
+        logits = np.asarray(parameters["skinning"], np.float64).reshape(-1, self._n_joints)
+        e = np.exp(logits - logits.max(1, keepdims=True))
+        weights = (e / e.sum(1, keepdims=True)).astype(np.float32)
+        return replace(model, skin=replace(self._rigging, weights=weights))
+
+
+def _unit(v: mi.Vector3f, otherwise: mi.Vector3f) -> mi.Vector3f:
+    """Unit vectors; where there is no length, others, without a gradient."""
+    length2 = dr.squared_norm(v)
+    return dr.select(length2 > 1e-12, v * dr.rsqrt(dr.maximum(length2, 1e-12)), dr.detach(otherwise))

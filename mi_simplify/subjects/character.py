@@ -1,0 +1,135 @@
+"""
+A character: an asset with a skeleton and an animation, fitted and judged in many frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ..config import Config
+from ..config.animation import Animation
+from ..errors import ConfigError
+from ..initial.weights import bone_weights, carried_weights
+from ..latent.model import Model
+from ..latent.rigging import Rigging
+from ..progress import ProgressCallback
+from ..report.evaluate import Comparison
+from ..report.frames import compare_characters
+from ..scenes.asset import Asset, rig_of
+from ..scenes.rig import BIND_POSE, Rig
+from .subject import Subject
+
+
+class Character(Subject):
+    """
+    An asset with a rig, shown in the frames of its clip.
+
+    Parameters
+    ----------
+    config : Config
+    geometry : Asset
+        In its bind pose.
+
+    Attributes
+    ----------
+    fitted, judged : ndarray, shape (N,)
+        Frames that the fit sees, and those that are kept for the verdict.
+    """
+
+    def __init__(self, config: Config, geometry: Asset):
+        super().__init__(config, geometry)
+        self.fitted, self.judged = split_frames(rig_of(geometry), config.animation)
+
+    def guess(self) -> tuple[Model, list[str]]:
+        """
+        See :class:`.subject.Subject`: a first guess of the bind pose, with weights.
+        """
+        model, notes = super().guess()
+        if model.displacement is not None:
+            raise ConfigError("a character takes no displacement map; leave the section `displacement` out")
+        by_bones = self.config.initial.kind == "sphere"
+        return self._with_weights(model, by_bones), notes
+
+    def baseline(self, triangles: int) -> Model:
+        """
+        See :class:`.subject.Subject`: decimated in the bind pose, weights carried over.
+        """
+        return self._with_weights(super().baseline(triangles))
+
+    def _with_weights(self, model: Model, by_bones: bool = False) -> Model:
+        asset = self.frame.normalised(self.geometry)
+        rig = rig_of(asset)
+        weights = bone_weights(rig, model.mesh.positions) if by_bones else carried_weights(asset, model.mesh)
+        rigging = Rigging(weights, rig, boxes(asset), self.fitted, self.config.animation.influences)
+        return replace(model, skin=rigging)
+
+    def judge(
+        self,
+        candidates: Mapping[str, Asset],
+        *,
+        n_views: int = 8,
+        resolution: int = 256,
+        spp: int = 64,
+        seed: int = 0,
+        progress: ProgressCallback | None = None,
+    ) -> Comparison:
+        """
+        See :class:`.subject.Subject`: candidates are posed in the same frames.
+        """
+        return compare_characters(
+            self.geometry, candidates, self.judged,
+            n_views=n_views, resolution=resolution, spp=spp, seed=seed, progress=progress,
+        )  # fmt: skip
+
+
+def split_frames(rig: Rig, animation: Animation) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Frames to fit and frames to judge by, as indices into the clip.
+
+    Of fewer than three frames none is kept out, and all are judged.
+
+    Raises
+    ------
+    ConfigError
+        None of the clip is asked for.
+    """
+    chosen = np.arange(rig.n_frames)
+    if animation.frames is not None:
+        first, last, *step = (float(x) for x in animation.frames.split(":"))
+        chosen = np.flatnonzero((rig.codes >= first) & (rig.codes <= last))[:: int(step[0]) if step else 1]
+        if not len(chosen):
+            raise ConfigError(
+                f"animation.frames: {animation.frames} holds no frame of the clip, which goes from "
+                f"{rig.codes[0]:g} to {rig.codes[-1]:g}"
+            )
+    n = min(animation.held_out, len(chosen) // 3)
+    held_out = chosen[((np.arange(n) + 0.5) * len(chosen) / n).astype(np.int64)] if n else chosen
+    fitted = np.setdiff1d(chosen, held_out) if n else chosen
+    return np.array([BIND_POSE]) if animation.bind_pose_only else fitted, held_out
+
+
+def boxes(asset: Asset) -> np.ndarray:
+    """
+    Where a character is in each frame, and last in its bind pose, shape (T + 1, 2, 3).
+
+    A sample of its vertices is looked at, those on its outside in the bind pose among them.
+    """
+    parts, rig = asset.placed(), rig_of(asset)
+    points = np.concatenate([p.vertices for p in parts])
+    used = np.concatenate([np.isin(np.arange(len(p.vertices)), p.faces) for p in parts])
+    far = [f(points @ d) for f in (np.argmax, np.argmin) for d in np.eye(3)]
+    index = np.flatnonzero(used)
+    index = np.unique(np.concatenate([index[:: max(1, len(index) // _SAMPLED)], far]))
+    points, weights = points[index], asset.influences()[index]
+    out = []
+    for frame in (*range(rig.n_frames), BIND_POSE):
+        flat = (weights @ rig.matrices(frame)[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
+        moved = np.einsum("vij,vj->vi", flat[..., :3], points) + flat[..., 3]
+        out.append([moved.min(0), moved.max(0)])
+    return np.array(out)
+
+
+_SAMPLED = 20_000
