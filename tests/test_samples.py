@@ -79,7 +79,7 @@ def test_a_plant_is_a_million_triangles_of_few_parts_in_a_tree_of_nodes(name, mo
 
 def test_unknown_names_say_what_there_is():
     assert sample_names() == ["relic", "walker", "shrub", "fern"]
-    with pytest.raises(AssetError, match="there is relic, shrub, fern"):
+    with pytest.raises(AssetError, match="there is relic, walker, shrub, fern"):
         sample_asset("teapot")
     with pytest.raises(AssetError, match="relic:20k"):
         sample_asset("relic:many")
@@ -91,7 +91,7 @@ def test_the_walker_walks_in_a_circle_of_frames():
     rig = asset.rig
     assert rig.n_frames == 24 and (rig.parents < np.arange(len(rig.names))).all()
     steps = np.abs(np.diff(np.concatenate([rig.poses, rig.poses[:1]]), axis=0)).max((1, 2, 3))
-    assert steps.max() < 3 * steps.min()  # the last frame leads on to the first
+    assert steps[-1] < 1.1 * steps[:-1].max()  # the last frame leads on to the first
     feet = [p for p in range(len(asset.parts)) if asset.parts[p].name.startswith("leg")]
     heights = np.array([[asset.posed(f).placed()[p].vertices[:, 1].min() for p in feet] for f in range(24)])
     assert np.ptp(heights.min(1)) < 0.1 and np.ptp(heights, axis=0).min() > 0.1  # one stands while the other is lifted
