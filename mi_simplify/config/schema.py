@@ -276,6 +276,11 @@ class Evaluation(Section):
     resolution: int = Field(256, ge=16, le=8192, description="Image width and height [px].")
     spp: int = Field(64, ge=1, le=65536, description="Samples per pixel.")
     every: int = Field(50, ge=1, description="Steps between two measurements of PSNR while the fit runs.")
+    light: Literal["relit", "fitted"] = Field(
+        "relit",
+        description="`relit`: path traced, in light that the fit has not seen. `fitted`: the reference as it was fitted"
+        " to, and the result lit directly, for what is baked on purpose; always so for what is no model file.",
+    )
     baseline: bool = Field(
         False, description="Judge quadric decimation with colours carried over and flat normals as well."
     )

@@ -49,14 +49,31 @@ def constant_environment(color, degree: int = MAX_DEGREE) -> np.ndarray:
     return out
 
 
+def environment_coefficients(image: np.ndarray, degree: int = MAX_DEGREE) -> np.ndarray:
+    """
+    The projection of a latitude-longitude image, shape (H, W, 3), as :func:`environment_image` lays it out;
+    shape ((degree + 1)², 3), float32.
+    """
+    height, width = image.shape[:2]
+    direction, weight = _directions(height, width)
+    basis = np.stack(harmonics(degree, *direction), axis=2) * weight[..., None]
+    return np.einsum("hwk,hwc->kc", basis, np.asarray(image, np.float64)).astype(np.float32)
+
+
+def _directions(height: int, width: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """Unit vectors of the pixels of a latitude-longitude image, and the solid angles of these."""
+    v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
+    theta, phi = np.pi * v, 2 * np.pi * u
+    direction = (np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi))
+    return direction, np.sin(theta) * (2 * np.pi / width) * (np.pi / height)
+
+
 def environment_image(coefficients: np.ndarray, height: int = 64) -> np.ndarray:
     """
     An environment as a latitude-longitude image, shape (height, 2·height, 3), float32, not below zero.
 
     The top row is +Y, the middle column +Z: how Mitsuba and glTF viewers hold such images.
     """
-    v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(2 * height) + 0.5) / (2 * height), indexing="ij")
-    theta, phi = np.pi * v, 2 * np.pi * u
-    direction = (np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi))
+    direction, _ = _directions(height, 2 * height)
     basis = np.stack(harmonics(degree_of(len(coefficients)), *direction), axis=2)
     return np.maximum(basis @ np.asarray(coefficients, np.float64), 0).astype(np.float32)

@@ -14,13 +14,12 @@ from ..config import Config
 from ..errors import AssetError, ConfigError
 from ..initial.visual_hull import mean_color, visual_hull
 from ..progress import ProgressCallback
-from ..report.evaluate import Comparison, Rendering, compare_renderings
+from ..report.evaluate import Comparison
 from ..scenes.asset import Asset
 from ..scenes.captured import Captured, read_captured
 from ..scenes.image_reference import ImageReference
 from ..scenes.reference import Reference
-from .light import fitted_light
-from .subject import Subject
+from .subject import Subject, with_ambient
 
 #: Radiance that an unknown environment starts with; what is found has base colours to match.
 LIGHT = 0.8
@@ -87,11 +86,7 @@ class ImageSubject(Subject):
         reference = ImageReference(self.captured, 1.0, np.zeros(3), self._fitted, self._held_out)
         views = reference.held_out(n_views, resolution)
         settings = {"spp": spp, "seed": seed, "light": self.light, "held_out": len(self._held_out)}
-        return compare_renderings(
-            Rendering(self.geometry, reference),
-            {name: Rendering(asset, fitted_light(asset, spp, self.config)) for name, asset in candidates.items()},
-            views, settings, progress,
-        )  # fmt: skip
+        return self.compared(reference, candidates, views, settings, progress)
 
 
 def joined(a: Captured, b: Captured) -> Captured:
@@ -115,10 +110,9 @@ def _completed(config: Config, light: str) -> Config:
         "unlit": {"kind": "color", "color": white, "optimize": False, "export": "drop"},
         "environment": {"kind": "environment", "color": (LIGHT, LIGHT, LIGHT)},
     }
-    latent = config.latent
-    if latent.ambient.kind == "auto":
-        latent = latent.model_copy(update={"ambient": latent.ambient.model_copy(update=known[light])})
+    if config.latent.ambient.kind == "auto":
+        config = with_ambient(config, **known[light])
     if light == "unlit":
-        kept = tuple(name for name in latent.optimize if name in ("vertices", "base_color", "opacity"))
-        latent = latent.model_copy(update={"optimize": kept})
-    return config.model_copy(update={"latent": latent})
+        kept = tuple(name for name in config.latent.optimize if name in ("vertices", "base_color", "opacity"))
+        config = config.model_copy(update={"latent": config.latent.model_copy(update={"optimize": kept})})
+    return config

@@ -4,21 +4,14 @@ An implicit surface as the subject of a job: sphere traced, started from its iso
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from ..config import SAMPLE_PREFIX, Config
 from ..errors import ConfigError
 from ..initial.isosurface import isosurface
-from ..progress import ProgressCallback
-from ..report.evaluate import Comparison, Rendering, compare_renderings
-from ..scenes.asset import Asset
 from ..scenes.creature import creature
 from ..scenes.implicit import implicit_named
 from ..scenes.reference import FramedReference, Reference
 from ..scenes.sphere_tracing import SphereTraced
-from ..scenes.views import held_out_views
-from .light import fitted_light
-from .subject import Subject
+from .subject import Subject, judged_as_fitted, with_ambient
 
 
 class ImplicitSubject(Subject):
@@ -46,37 +39,15 @@ class ImplicitSubject(Subject):
         else:
             self.surface = implicit_named(config.asset, **given)
         if config.latent.ambient.kind == "auto" and any(self.surface.ambient):
-            known = {"kind": "color", "color": tuple(self.surface.ambient), "optimize": False}
-            ambient = config.latent.ambient.model_copy(update=known)
-            config = config.model_copy(update={"latent": config.latent.model_copy(update={"ambient": ambient})})
+            config = with_ambient(config, kind="color", color=tuple(self.surface.ambient), optimize=False)
+        config = judged_as_fitted(config)
         super().__init__(config, isosurface(self.surface, settings.resolution))
 
     def reference(self) -> Reference:
         """See :class:`.subject.Subject`."""
-        return FramedReference(self._renderer(self.config.reference.spp), self.frame.scale, self.frame.center)
+        return FramedReference(self.renderer(self.config.reference.spp), self.frame.scale, self.frame.center)
 
-    def _renderer(self, spp: int) -> SphereTraced:
-        """In the surface's own units."""
+    def renderer(self, spp: int) -> Reference:
+        """See :class:`.subject.Subject`."""
         shadows = self.config.reference.transport == "baked"
         return SphereTraced(self.surface, spp=spp, shadows=shadows, form=self.config.latent.shading)
-
-    def judge(
-        self,
-        candidates: Mapping[str, Asset],
-        *,
-        n_views: int = 8,
-        resolution: int = 256,
-        spp: int = 64,
-        seed: int = 0,
-        progress: ProgressCallback | None = None,
-    ) -> Comparison:
-        """
-        Candidates under direct light and their ambient term, beside the surface in the light that they were fitted to.
-        """
-        views = self.lit_as_fitted(held_out_views(self.geometry.bounds, n_views, resolution, seed))
-        settings = {"spp": spp, "seed": seed, "light": "direct", "reference": self.config.reference.transport}
-        return compare_renderings(
-            Rendering(self.geometry, self._renderer(spp)),
-            {name: Rendering(asset, fitted_light(asset, spp, self.config)) for name, asset in candidates.items()},
-            views, settings, progress,
-        )  # fmt: skip

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,16 +15,18 @@ from ..config import SAMPLE_PREFIX, Config, code_of
 from ..errors import AssetError
 from ..frame import Frame
 from ..initial import first_guess, quadrics_only
-from ..latent.harmonics import constant_environment
+from ..latent.harmonics import constant_environment, environment_coefficients
 from ..latent.model import Model
 from ..progress import ProgressCallback
-from ..report.evaluate import Comparison, compare_assets
+from ..report.evaluate import Comparison, Rendering, compare_assets, compare_renderings
 from ..scenes.asset import Asset
+from ..scenes.images import decode_image
 from ..scenes.load import load_asset
 from ..scenes.read_mitsuba import SceneAsset
 from ..scenes.reference import Reference, make_reference
 from ..scenes.samples import sample_asset
-from ..scenes.views import Views
+from ..scenes.views import Views, held_out_views
+from .light import fitted_light
 
 
 class Subject:
@@ -48,6 +51,8 @@ class Subject:
     """
 
     def __init__(self, config: Config, geometry: Asset):
+        if config.reference.environment is not None and config.latent.ambient.kind == "auto":
+            config = with_ambient(config, kind="environment", optimize=False)
         self.config, self.geometry = config, geometry
         self.frame = Frame.around(geometry.bounds)
 
@@ -84,7 +89,9 @@ class Subject:
     @property
     def ambient(self) -> np.ndarray | None:
         """Where the ambient light of the latent model starts, shape (K, 3); None where it has none."""
-        ambient = self.config.latent.ambient
+        ambient, known = self.config.latent.ambient, self.config.reference.environment
+        if ambient.kind == "environment" and known is not None:
+            return environment_coefficients(read_environment(known))
         if ambient.kind == "environment":
             return constant_environment(ambient.color)
         return np.array([ambient.color], np.float32) if ambient.kind == "color" else None
@@ -132,9 +139,37 @@ class Subject:
         n_views, resolution, spp, seed, progress
             As in :func:`mi_simplify.report.compare_assets`.
         """
-        return compare_assets(
-            self.geometry, candidates, n_views=n_views, resolution=resolution, spp=spp, seed=seed, progress=progress
-        )
+        if self.config.evaluation.light == "relit":
+            return compare_assets(
+                self.geometry, candidates, n_views=n_views, resolution=resolution, spp=spp, seed=seed, progress=progress
+            )
+        views = self.lit_as_fitted(held_out_views(self.geometry.bounds, n_views, resolution, seed))
+        return self.compared(self.renderer(spp), candidates, views, {"spp": spp, "seed": seed}, progress)
+
+    def renderer(self, spp: int) -> Reference:
+        """
+        What shows the subject as the fit sees it, in the units of the input.
+        """
+        settings = self.config.reference.model_copy(update={"spp": spp})
+        return reference_for(self.geometry, self.config.model_copy(update={"reference": settings}))
+
+    def compared(
+        self,
+        renderer: Reference,
+        candidates: Mapping[str, Asset],
+        views: Views,
+        settings: dict,
+        progress: ProgressCallback | None,
+    ) -> Comparison:
+        """
+        Candidates in the light that they were fitted to, beside images of a reference renderer.
+        """
+        told = {"light": "as fitted", "reference": self.config.reference.transport}
+        others = {
+            name: Rendering(asset, fitted_light(asset, settings["spp"], self.config))
+            for name, asset in candidates.items()
+        }
+        return compare_renderings(Rendering(self.geometry, renderer), others, views, told | settings, progress)
 
 
 def open_asset(name: str) -> Asset:
@@ -174,6 +209,33 @@ def open_subject(config: Config) -> Subject:
 
         return Character(config, geometry)
     return Subject(config, geometry)
+
+
+def with_ambient(config: Config, **changes: Any) -> Config:
+    """
+    The configuration with other keys in ``latent.ambient``.
+    """
+    ambient = config.latent.ambient.model_copy(update=changes)
+    return config.model_copy(update={"latent": config.latent.model_copy(update={"ambient": ambient})})
+
+
+def judged_as_fitted(config: Config) -> Config:
+    """
+    The configuration of a subject that only its own renderer can show, so that it cannot be lit anew by another.
+    """
+    return config.model_copy(update={"evaluation": config.evaluation.model_copy(update={"light": "fitted"})})
+
+
+def read_environment(path: str) -> np.ndarray:
+    """
+    The image of an environment map, shape (H, W, 3), linear.
+    """
+    if not Path(path).is_file():
+        raise AssetError(f"the environment map '{path}' does not exist")
+    image = decode_image(Path(path).read_bytes(), Path(path).name, "reference.environment")
+    if image.dtype.kind != "f" or image.shape[2] < 3:
+        raise AssetError(f"the environment map '{path}' should be an EXR or HDR image with three channels")
+    return image[..., :3]
 
 
 def reference_for(asset: Asset, config: Config) -> Reference:
