@@ -20,15 +20,21 @@ def prefiltering(target: int) -> dict[str, Any]:
     do, shaded once a pixel, against an image whose noise is small beside one pixel's.
     """
     return {
-        "initial": {"atlas_size": min(max(2 << (target - 1).bit_length(), 64), 1024), "oversample": 4},
+        # A crease is finer than any pixel: it would flicker.
+        "initial": {
+            "atlas_size": min(max(2 << (target - 1).bit_length(), 64), 1024),
+            "oversample": 4 if target <= 256 else 1,
+            "crease_angle": 180.0,
+        },
         "latent": {"mips": "derived"},
         "optimizer": {
             "resolution": target,
             "batch": min(max(2 * 65536 // target**2, 2), 32),
             "spp": 8,
             "shade": "pixel",
+            "rates": {"base_color": 0.003, "specular": 0.01, "normal": 0.01},
         },
-        "reference": {"spp": min(max((1 << 20) // target**2, 16), 256), "pool": 512 if target <= 128 else 128},
+        "reference": {"spp": min(max((1 << 20) // target**2, 16), 256), "refresh": 1, "pool": 512 if target <= 128 else 128},
         "evaluation": {"resolution": max(target, 16)},
     }
 
