@@ -20,7 +20,7 @@ from . import __version__
 from .config import Config
 from .errors import OutputError
 from .export.files import make_folder, write_atomic
-from .latent.model import Displacement, Mesh, Model
+from .latent.model import Displacement, Mesh, Model, VertexSets
 from .latent.rigging import Rigging
 from .scenes.asset import Asset
 from .scenes.rig import Rig
@@ -96,6 +96,9 @@ class Checkpoint:
             skin = model["skin"]
             rig = Rig(**{**skin["rig"], "names": tuple(skin["rig"]["names"])})
             model["skin"] = Rigging(**{**skin, "rig": rig})
+        if model["vertex_sets"] is not None:
+            sets = model["vertex_sets"]
+            model["vertex_sets"] = VertexSets(tuple(sets["sizes"]), sets["offsets"])
         guess = Model(**model)
         return guess, self._guess["notes"], self._read(STATE) if (self.folder / STATE).exists() else None
 

@@ -174,10 +174,13 @@ def test_a_mesh_of_the_users_own_needs_no_budget(tmp_path):
 @pytest.mark.parametrize(
     ("names", "left"),
     [
-        ([], ("vertices", "displacement", "skinning", "base_color", "roughness", "metallic", "normal")),
-        (["kd", "orm"], ("vertices", "displacement", "skinning", "normal")),
+        ([], ("vertices", "displacement", "vertex_sets", "skinning", "base_color", "roughness", "metallic", "normal")),
+        (["kd", "orm"], ("vertices", "displacement", "vertex_sets", "skinning", "normal")),
         (["shape"], ("base_color", "roughness", "metallic", "normal")),
-        (["vertices", "normal", "gamma"], ("displacement", "skinning", "base_color", "roughness", "metallic")),
+        (
+            ["vertices", "normal", "gamma"],
+            ("displacement", "vertex_sets", "skinning", "base_color", "roughness", "metallic"),
+        ),
     ],
 )
 def test_what_is_skipped_is_not_fitted(names, left):

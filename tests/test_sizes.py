@@ -42,7 +42,7 @@ def test_batches_of_all_sizes_cost_the_same_and_come_as_often():
 def test_a_target_resolution_sets_what_else_is_not_set():
     config = load_config(None, ["asset=a.obj", "optimizer.target_resolution=64", "latent.mips=custom"])
     assert config.optimizer.resolution == (64,) and config.optimizer.shade == "pixel" and config.optimizer.batch == 32
-    assert config.reference.spp == 256 and config.initial.atlas_size == 128 and config.latent.mips == "custom"
+    assert config.reference.spp == 256 and config.initial.atlas_size == 256 and config.latent.mips == "custom"
     assert config.evaluation.resolution == 64
     plain = load_config(None, ["asset=a.obj"])
     assert plain.optimizer.shade == "sample" and plain.latent.mips == "none"

@@ -16,13 +16,13 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 def prefiltering(target: int) -> dict[str, Any]:
     """
-    Settings for a model that is seen at ``target`` pixels: textures of one or two texels a pixel, averaged as viewers
+    Settings for a model that is seen at ``target`` pixels: textures of a few texels a pixel, averaged as viewers
     do, shaded once a pixel, against an image whose noise is small beside one pixel's.
     """
     return {
         # A crease is finer than any pixel: it would flicker.
         "initial": {
-            "atlas_size": min(max(2 << (target - 1).bit_length(), 64), 1024),
+            "atlas_size": min(max(4 << (target - 1).bit_length(), 64), 1024),
             "oversample": 4 if target <= 256 else 1,
             "crease_angle": 180.0,
         },
@@ -34,7 +34,11 @@ def prefiltering(target: int) -> dict[str, Any]:
             "shade": "pixel",
             "rates": {"base_color": 0.003, "specular": 0.01, "normal": 0.01},
         },
-        "reference": {"spp": min(max((1 << 20) // target**2, 16), 256), "refresh": 1, "pool": 512 if target <= 128 else 128},
+        "reference": {
+            "spp": min(max((1 << 20) // target**2, 16), 256),
+            "refresh": 1,
+            "pool": 512 if target <= 128 else 128,
+        },
         "evaluation": {"resolution": max(target, 16)},
     }
 

@@ -13,7 +13,7 @@ from .schema import Config, Quantity
 
 #: Short names for quantities that go together; each quantity's own name is one too.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "shape": ("vertices", "displacement", "skinning"),
+    "shape": ("vertices", "displacement", "vertex_sets", "skinning"),
     "kd": ("base_color", "opacity"),
     "orm": ("gamma", "roughness", "metallic"),
 }
@@ -41,7 +41,7 @@ def without(config: Config, names: Iterable[str]) -> Config:
             raise ConfigError(f"'{name}' is nothing that is fitted{nearest(name, known)}; one of {', '.join(known)}")
         skipped.update(known[name])
     left = tuple(name for name in config.latent.optimize if name not in skipped)
-    if not set(left) - {"displacement", "skinning"}:  # which most models do not have
+    if not set(left) - {"displacement", "vertex_sets", "skinning"}:  # which most models do not have
         raise ConfigError(
             "nothing is left to fit; skip less, or ask for the first guess alone with --set optimizer.steps=0"
         )

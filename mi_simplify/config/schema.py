@@ -42,7 +42,16 @@ def _distinct(value: tuple) -> tuple:
 Pixels = Annotated[int, Field(ge=8, le=8192)]
 Resolutions = Annotated[tuple[Pixels, ...], BeforeValidator(_as_list), AfterValidator(_not_empty)]
 Quantity = Literal[
-    "vertices", "displacement", "skinning", "base_color", "opacity", "gamma", "roughness", "metallic", "normal"
+    "vertices",
+    "displacement",
+    "vertex_sets",
+    "skinning",
+    "base_color",
+    "opacity",
+    "gamma",
+    "roughness",
+    "metallic",
+    "normal",
 ]
 Quantities = Annotated[tuple[Quantity, ...], BeforeValidator(_as_list), AfterValidator(_distinct)]
 Format = Literal["glb", "obj", "usd"]
@@ -126,6 +135,13 @@ class Initial(Section):
     textures: Literal["bake", "constant", "random"] = Field(
         "bake", description="Sample them from the asset, fill them with its mean, or with noise."
     )
+    vertex_sets: int = Field(
+        1,
+        ge=1,
+        le=8,
+        description="Sets of vertex positions over one topology, for sizes that halve from `optimizer.resolution` down "
+        "and are blended between them; needs `optimizer.least_resolution`.",
+    )
     subdivisions: int = Field(
         0,
         ge=0,
@@ -161,8 +177,8 @@ class Latent(Section):
     """What is optimised, and how it is shaded."""
 
     optimize: Quantities = Field(
-        ("vertices", "displacement", "skinning", "base_color", "roughness", "metallic", "normal"),
-        description="Quantities that the fit changes; `displacement` only where there is a map, `skinning`, the "
+        ("vertices", "displacement", "vertex_sets", "skinning", "base_color", "roughness", "metallic", "normal"),
+        description="Quantities that the fit changes; `displacement` and `vertex_sets` only where there are any, `skinning`, the "
         "weights of joints, only where there is a skeleton.",
     )
     min_roughness: float = Field(0.08, ge=0.01, le=1.0, description="Lower limit of roughness.")
@@ -207,6 +223,7 @@ class Rates(Section):
     """Learning rates at the start."""
 
     vertices: float = Field(0.001, ge=0, description="Vertex positions: the typical step.")
+    vertex_sets: float = Field(0.001, ge=0, description="Further vertex sets: the typical step.")
     displacement: float = Field(0.0005, ge=0, description="Displacement map: the typical step.")
     skinning: float = Field(0.03, ge=0, description="Logarithms of skinning weights.")
     base_color: float = Field(0.001, ge=0, description="Base colour and opacity.")
@@ -322,6 +339,15 @@ class Config(Section):
     loss: Loss = Loss()
     evaluation: Evaluation = Evaluation()
     export: Export = Export()
+
+    @model_validator(mode="after")
+    def _vertex_sets_are_seen(self) -> Config:
+        if self.initial.vertex_sets > 1:
+            if self.optimizer.least_resolution is None:
+                raise ValueError("`initial.vertex_sets` are for several sizes: set `optimizer.least_resolution`")
+            if self.initial.subdivisions:
+                raise ValueError("`initial.vertex_sets` and `initial.subdivisions` do not go together; choose one")
+        return self
 
     @model_validator(mode="after")
     def _mips_can_be_halved(self) -> Config:

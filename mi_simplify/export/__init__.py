@@ -10,6 +10,7 @@ from ..latent.model import Model
 from ..latent.tessellation import tessellated
 from .files import make_folder
 from .gltf import write_glb as write_glb
+from .mips import write_mips
 from .obj import write_obj as write_obj
 
 FORMATS = {"glb": "model.glb", "obj": "model.obj", "usd": "model.usdc"}
@@ -22,6 +23,7 @@ def export_model(
     """
     Write a model in several formats into one folder, which is created where it is missing.
 
+    Mip levels of the model's own go into ``mips/``: what these formats carry is the finest one alone.
     A displaced model is written as the fine mesh that it stands for; base mesh and map go into ``displacement/``.
 
     Parameters
@@ -49,6 +51,8 @@ def export_model(
         raise OutputError(f"unknown export format {unknown[0]!r}: choose from {', '.join(FORMATS)}")
     folder = make_folder(folder)
     paths = {name: folder / FORMATS[name] for name in formats}
+    if model.mips:
+        write_mips(model, make_folder(folder / "mips"))
     if model.displacement is not None:
         from .displacement import write_displacement
 

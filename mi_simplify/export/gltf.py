@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ def write_glb(model: Model, path: str | Path, *, extras: dict | None = None) -> 
     Write a model as GLB: metallic-roughness material, MikkTSpace tangents, embedded PNG textures; a character with
     skeleton, weights and animation.
 
+    Further vertex sets are morph targets, named after the size on the screen that they are for.
     Gamma leaves as KHR_materials_specular where a dielectric texel has any (:mod:`.textures`).
     Vertices in which mirrored and unmirrored charts meet are doubled, since TANGENT's w is per vertex.
 
@@ -60,6 +62,7 @@ def glb_bytes(model: Model, *, extras: dict | None = None) -> bytes:
     """
     builder = _Builder()
     attributes, indices = _geometry(builder, model)
+    targets = _targets(builder, model)
     textures = encode_textures(model)
     material = _material(builder, model, textures)
     node: dict = {"name": model.name, "mesh": 0}
@@ -74,7 +77,10 @@ def glb_bytes(model: Model, *, extras: dict | None = None) -> bytes:
         "meshes": [
             {
                 "name": model.name,
-                "primitives": [{"attributes": attributes, "indices": indices, "material": 0}],
+                "primitives": [
+                    {"attributes": attributes, "indices": indices, "material": 0, **_some("targets", targets)}
+                ],
+                **_target_names(model),
             }
         ],
         "materials": [material],
@@ -201,6 +207,33 @@ def _animation(builder: _Builder, times: np.ndarray, curves: dict[str, np.ndarra
             output = builder.accessor(np.asarray(curve[:, j], "<f4"), FLOAT)
             samplers.append({"input": time, "output": output, "interpolation": "LINEAR"})
     return {"name": "clip", "samplers": samplers, "channels": channels} if channels else None
+
+
+def _targets(builder: _Builder, model: Model) -> list[dict] | None:
+    """A morph target for every further vertex set: the set itself at weight 1, blends of two between them."""
+    if model.vertex_sets is None:
+        return None
+    mesh = split_mirrored(model.mesh)
+    normals, targets = mesh.normals(), []
+    for offset in model.vertex_sets.offsets:
+        moved = replace(mesh, positions=mesh.positions + offset).normals()
+        deltas = {"POSITION": offset[mesh.position_index], "NORMAL": (moved - normals)[mesh.normal_groups]}
+        targets.append(
+            {
+                name: builder.accessor(np.asarray(x, "<f4"), FLOAT, ARRAY_BUFFER, bounds=name == "POSITION")
+                for name, x in deltas.items()
+            }
+        )
+    return targets
+
+
+def _target_names(model: Model) -> dict:
+    """What the morph targets are for: sides of the images that the sets were fitted at, the mesh's own first."""
+    sets = model.vertex_sets
+    if sets is None:
+        return {}
+    names = [f"{size:g} px" for size in sets.sizes[1:]]
+    return {"weights": [0.0] * len(names), "extras": {"targetNames": names, "imageSizes": list(sets.sizes)}}
 
 
 def _material(builder: _Builder, model: Model, textures: Textures) -> dict:

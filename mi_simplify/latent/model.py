@@ -81,6 +81,23 @@ class Displacement:
 
 
 @dataclass(frozen=True)
+class VertexSets:
+    """
+    Positions for smaller sizes on the screen, see :mod:`.vertex_sets`.
+
+    Parameters
+    ----------
+    sizes : tuple of float
+        Sides of the images that each set is for [pixels], falling; the first is that of the mesh's own positions.
+    offsets : ndarray, shape (K - 1, P, 3)
+        What is added to the mesh's positions for each of the other sizes.
+    """
+
+    sizes: tuple[float, ...]
+    offsets: np.ndarray
+
+
+@dataclass(frozen=True)
 class Model:
     """
     Mesh and PBR textures of one material.
@@ -100,6 +117,8 @@ class Model:
         ``specular`` and ``normal``, each half as large as the one before.
     displacement : Displacement, optional
         With it ``mesh`` is a base mesh, and the textures belong to what it is displaced into.
+    vertex_sets : VertexSets, optional
+        Other positions for smaller sizes on the screen.
     ambient : ndarray, shape (K, 3), float32, optional
         The light besides point lights that it was fitted under, see :mod:`.ambient`.
     skin : Rigging, optional
@@ -117,6 +136,7 @@ class Model:
     ambient: np.ndarray | None = None
     displacement: Displacement | None = None
     skin: Rigging | None = None
+    vertex_sets: VertexSets | None = None
 
     @property
     def n_triangles(self) -> int:
@@ -136,8 +156,11 @@ class Model:
         displacement = self.displacement
         if displacement is not None:
             displacement = replace(displacement, height=(displacement.height * scale).astype(np.float32))
+        sets = self.vertex_sets
+        if sets is not None:
+            sets = replace(sets, offsets=sets.offsets * scale)
         skin = None if self.skin is None else self.skin.transformed(scale, offset)
-        return replace(self, mesh=mesh, displacement=displacement, skin=skin)
+        return replace(self, mesh=mesh, displacement=displacement, vertex_sets=sets, skin=skin)
 
     def taking(self, fitted: Model, quantities: Collection[str]) -> Model:
         """

@@ -102,4 +102,8 @@ def operation_of(model: Model) -> MeshOperation:
         from .skinning import Skinning
 
         return Skinning(model, model.skin)
+    if model.vertex_sets is not None:
+        from .vertex_sets import Blended
+
+        return Blended(model)
     return Identity(model)

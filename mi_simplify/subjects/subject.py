@@ -16,7 +16,7 @@ from ..errors import AssetError
 from ..frame import Frame
 from ..initial import first_guess, quadrics_only
 from ..latent.harmonics import constant_environment, environment_coefficients
-from ..latent.model import Model
+from ..latent.model import Model, VertexSets
 from ..progress import ProgressCallback
 from ..report.evaluate import Comparison, Rendering, compare_assets, compare_renderings
 from ..scenes.asset import Asset
@@ -84,6 +84,10 @@ class Subject:
             crease_angle=initial.crease_angle,
             output=self.config.opacity.cards,
         )
+        if initial.vertex_sets > 1:
+            sizes = tuple(float(max(self.config.optimizer.resolution) / 2**k) for k in range(initial.vertex_sets))
+            offsets = np.zeros((len(sizes) - 1, *model.mesh.positions.shape))
+            model = replace(model, vertex_sets=VertexSets(sizes, offsets))
         return replace(model, ambient=self.ambient), notes
 
     @property
