@@ -178,8 +178,8 @@ class Latent(Section):
 
     optimize: Quantities = Field(
         ("vertices", "displacement", "vertex_sets", "skinning", "base_color", "roughness", "metallic", "normal"),
-        description="Quantities that the fit changes; `displacement` and `vertex_sets` only where there are any, `skinning`, the "
-        "weights of joints, only where there is a skeleton.",
+        description="Quantities that the fit changes; `displacement` and `vertex_sets` only where there are any, "
+        "`skinning`, the weights of joints, only where there is a skeleton.",
     )
     min_roughness: float = Field(0.08, ge=0.01, le=1.0, description="Lower limit of roughness.")
     shading: Literal["gltf", "paper"] = Field(

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..scenes.views import Views
 from .model import Model, VertexSets
+from .surface import MeshTopology, Surface
 
 
 def blend_weights(sizes: tuple[float, ...], resolution: float) -> np.ndarray:
@@ -67,6 +68,12 @@ class Blended:
             lane = dr.arange(mi.UInt32, n) + k * n
             out = out + dr.gather(mi.Float, offsets, lane) * dr.opaque(mi.Float, float(weight))
         return out
+
+    def surface(
+        self, topology: MeshTopology, positions: mi.Float, base: mi.Float, parameters: dict[str, mi.Float], views: Views
+    ) -> Surface:
+        """See :class:`.operation.MeshOperation`."""
+        return topology.surface(positions)
 
     def written(self, model: Model, parameters: dict[str, np.ndarray]) -> Model:
         """See :class:`.operation.MeshOperation`."""
