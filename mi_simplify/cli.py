@@ -17,6 +17,7 @@ from typing import Any
 
 import click
 
+from . import __version__
 from .errors import Defect, UserError
 
 
@@ -106,6 +107,7 @@ _QUIET = click.option("--quiet", "-q", is_flag=True, help="Print nothing but err
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, message="mi-simplify %(version)s")
 def cli() -> None:
     """
     Turn a detailed 3D asset into a small textured mesh that looks the same.
@@ -424,8 +426,6 @@ def version() -> None:
     """
     Print the version.
     """
-    from . import __version__
-
     print(f"mi-simplify {__version__}")
 
 

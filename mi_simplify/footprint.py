@@ -11,10 +11,10 @@ from .config import Config
 from .scenes.asset import Asset
 
 #: Python, Mitsuba, LLVM and their kernels, with a job of next to nothing.
-_BASE = 320 << 20
+_BASE = 440 << 20
 
 #: Texel of the atlas: as baked, as parameters with gradients and moments, as images of the report.
-_PER_TEXEL = 580
+_PER_TEXEL = 830
 
 #: Sample of the batch: rays, hits, shading and their adjoints.
 _PER_SAMPLE = 100

@@ -8,7 +8,6 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -68,8 +67,8 @@ class Forecast:
         rows = dict(self.plan) | {"time": f"about {_words(sum(self.seconds.values()))}: {parts}"}
         rows["memory"] = f"about {memory.shown_size(self.memory)} at most"
         rows["measured"] = (
-            f"on this machine as busy as it is now: the first guess, {self.steps} steps of the fit and one view of the "
-            "evaluation were done, the rest is reckoned from them; nothing was written"
+            f"on this machine as busy as it is now: the first guess, {self.steps} steps of the fit and two views of "
+            "the evaluation were done, the rest is reckoned from them; nothing was written"
         )
         return "\n".join(f"{name:12} {text}" for name, text in rows.items())
 
@@ -175,27 +174,26 @@ def _try_fit(result: Forecast, config: Config, guess: Model, reference: Referenc
 
 
 def _try_rest(result: Forecast, config: Config, subject: Subject, guess: Model, progress: ProgressCallback) -> None:
-    """Time an export, one view of the evaluation and its page; views cost alike, and so do candidates."""
+    """Time an export, two views of the evaluation and their page: every later view costs as the second."""
     progress(Progress("trial", message="evaluation"))
     judged, clock, candidate = config.evaluation, Stopwatch(), guess.as_asset()
     glb_bytes(guess)
     result.seconds["export"] = clock.lap() * (1 + len(config.export.formats))  # and one is read back
-    n_images = judged.views * (3 + judged.baseline)
-
-    def judge() -> Any:
-        return subject.judge(
-            {"result": candidate}, n_views=1, resolution=judged.resolution, spp=judged.spp, seed=config.seed
-        )
-
-    judge()
-    begin = clock.lap()  # with compiling
-    comparison = judge()
-    result.seconds["evaluate"] = begin + clock.lap() * max(0, n_images / 2 - 1)
+    images = Stopwatch()
+    laps: list[float] = []
+    comparison = subject.judge(
+        {"result": candidate}, n_views=2, resolution=judged.resolution, spp=judged.spp, seed=config.seed,
+        progress=lambda _: laps.append(images.lap()),
+    )  # fmt: skip
+    _, of_reference, _, of_candidate = laps  # the first of each compiles
+    n_candidates = 2 + judged.baseline
+    more = (judged.views - 2) * of_reference + (judged.views * n_candidates - 2) * of_candidate
+    result.seconds["evaluate"] = clock.lap() + more
     if judged.baseline:
         result.seconds["evaluate"] += result.seconds["first guess"]
     contact_sheet(comparison.reference, comparison.candidates, comparison.per_view)
     report_page(comparison, title=subject.geometry.name)
-    per_view = clock.lap() * (2 + judged.baseline)
+    per_view = clock.lap() / 2 * n_candidates
     models = {"result": candidate} if subject.shown is None else {"reference": subject.shown, "result": candidate}
     report_page(comparison, title=subject.geometry.name, models=models)
     result.seconds["report"] = clock.lap() + per_view * judged.views

@@ -263,8 +263,9 @@ def test_help_is_instant_and_complete(tmp_path):
 def test_version_and_no_arguments(capsys):
     import mi_simplify
 
-    assert cli.main(["version"]) == 0
-    assert capsys.readouterr().out == f"mi-simplify {mi_simplify.__version__}\n"
+    for argv in (["version"], ["--version"]):
+        assert cli.main(argv) == 0
+        assert capsys.readouterr().out == f"mi-simplify {mi_simplify.__version__}\n"
     assert cli.main([]) == 0
     assert capsys.readouterr().out.startswith("Usage: mi-simplify")
 

@@ -48,7 +48,7 @@ def test_every_setting_weighs():
 
 
 def test_the_way_out_is_what_takes_most():
-    with memory.limited(4 << 30), pytest.raises(MemoryLimitError, match="lower initial.atlas_size, which takes 36"):
+    with memory.limited(4 << 30), pytest.raises(MemoryLimitError, match="lower initial.atlas_size, which takes 51.9"):
         check_footprint(job("initial.atlas_size=8192"))
     with memory.limited(4 << 30), pytest.raises(MemoryLimitError, match="lower reference.pool, which takes"):
         check_footprint(job("reference.pool=100000"))
