@@ -332,3 +332,18 @@ def test_missing_buffer_is_named(glb, tmp_path):
     (tmp_path / "a.gltf").write_text(json.dumps(glb.json))
     with pytest.raises(AssetError, match="a.gltf: buffer 'gone.bin' does not exist"):
         load_asset(tmp_path / "a.gltf")
+
+
+def test_an_instance_knows_the_nodes_above_it(tmp_path):
+    """Siblings of one name are told apart; what hangs in the root has nothing above it."""
+    glb = Glb()
+    glb.mesh(glb.quad())
+    glb.nodes(
+        {"name": "plant", "children": [1, 2]}, {"name": "twig", "children": [3]}, {"name": "twig", "children": [4]},
+        {"name": "leaf", "mesh": 0}, {"name": "leaf", "mesh": 0}, {"mesh": 0},
+    )  # fmt: skip
+    glb.json["scenes"] = [{"nodes": [0, 5]}]
+    asset = load_asset(glb.save(tmp_path / "plant.glb"))
+    assert {(i.name, i.node) for i in asset.instances} == {
+        ("leaf", "plant.0/twig.1"), ("leaf", "plant.0/twig.2"), ("node_5", ""),
+    }  # fmt: skip

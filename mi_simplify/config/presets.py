@@ -74,7 +74,7 @@ STARTS: dict[str, dict[str, Any]] = {
         "optimizer": {
             "steps": 300,
             "spp": 1,
-            "rates": {"vertices": 0.002, "base_color": 0.01, "specular": 0.005, "normal": 0.01},
+            "rates": {"vertices": 0.002, "base_color": 0.003, "specular": 0.001, "normal": 0.002},
         },
         "loss": {"image": "l2", "coverage": 1.0, "laplacian": {"weight": 1.0}},
     },

@@ -97,8 +97,7 @@ class Instance:
         Joint of the asset's rig that carries the whole part, where that has no skin; every instance of an asset with a
         rig has the one or the other.
     node : str
-        Where it hangs in the file's tree of nodes: their names from the root on, with slashes between; empty where
-        there is no tree.
+        The nodes above it in the file's tree, from the root on, with slashes between; empty where there are none.
     """
 
     part: int

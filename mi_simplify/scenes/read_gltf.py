@@ -231,8 +231,15 @@ class _Scene:
         return len(self.parts) - 1
 
     def _place(self, part: int, to_world: np.ndarray, name: str, carrier: int | None) -> None:
-        self.instances.append(Instance(part, to_world, name))
+        self.instances.append(Instance(part, to_world, name, "" if carrier is None else self._above(carrier)))
         self._carriers.append(carrier)
+
+    def _above(self, index: int) -> str:
+        """The names of a node's parents, with their numbers, from the root on."""
+        names: list[str] = []
+        while (index := self._parents[index]) >= 0:
+            names.append(f"{self.file.item('nodes', index).get('name') or 'node'}.{index}")
+        return "/".join(reversed(names))
 
 
 def _triangles(index: np.ndarray, mode: int) -> np.ndarray:

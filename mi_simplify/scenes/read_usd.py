@@ -137,7 +137,8 @@ class _Stage:
         else:
             placement, carrier = self._skeletons.placement(prim, query), None
             parts = self._added(self._mesh(prim, query))
-        self.instances += [Instance(part, placement, prim.GetName()) for part in parts]
+        above = prim.GetPath().GetParentPath().pathString.strip("/")
+        self.instances += [Instance(part, placement, prim.GetName(), above) for part in parts]
         self._carriers += [carrier] * len(parts)
 
     def _added(self, parts: list[Part]) -> list[int]:
@@ -173,8 +174,9 @@ class _Stage:
             n = len(members) * int((shown & (which == number)).sum())
             what = f"{self.resources.model.name}: point instancer '{name}' of {n:,} instances"
             memory.require(PER_INSTANCE * n, what, FEWER_INSTANCES)
-            for placement in placements[shown & (which == number)]:
-                self.instances += [Instance(m.part, placement @ m.to_world, m.name) for m in members]
+            for k, placement in enumerate(placements[shown & (which == number)]):
+                node = f"{name}/{number}.{k}"
+                self.instances += [Instance(m.part, placement @ m.to_world, m.name, node=node) for m in members]
                 self._carriers += [instancer.GetPrim()] * len(members)
 
     def _parts_of(self, prim: Usd.Prim) -> list[int]:
