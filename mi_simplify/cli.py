@@ -99,6 +99,9 @@ _JOB = _options(
 )
 _KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")
 _OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
+_FRAMES = click.option(
+    "--frames", metavar="FIRST:LAST[:STEP]", help="Part of a character's clip, in the frame numbers of its file."
+)
 _OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the run that OUT holds.")
 _DRY_RUN = click.option("--dry-run", is_flag=True, help="Say what would be done, its time and memory; write nothing.")
 _TENSORBOARD = click.option("--tensorboard", is_flag=True, help="Also log for TensorBoard, into OUT/tensorboard.")
@@ -126,6 +129,8 @@ def cli() -> None:
     help="What the result is made of: one surface, textured cards for foliage, or what suits the asset.",
 )
 @_KEEP_UV
+@_FRAMES
+@click.option("--bind-pose-only", is_flag=True, help="Fit a character in its bind pose alone.")
 @_OUT
 @click.option("--config", metavar="YAML", help="Settings to start from.")
 @_JOB
@@ -134,7 +139,9 @@ def cli() -> None:
 @_TENSORBOARD
 @_DRY_RUN
 @_QUIET
-def simplify(asset, triangles, init, mode, keep_uv, out, config, settings, **options) -> None:
+def simplify(
+    asset, triangles, init, mode, keep_uv, frames, bind_pose_only, out, config, settings, **options
+) -> None:  # fmt: skip
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
     an implicit surface.
@@ -148,7 +155,14 @@ def simplify(asset, triangles, init, mode, keep_uv, out, config, settings, **opt
         if init is not None:
             raise click.UsageError(f"--mode {mode} makes a first guess of its own, so it does not go with --init")
         initial |= {"kind": _mode(mode, asset, triangles, config, settings, options)}
-    _run(config, out or _default_folder(asset), [*settings, {"asset": asset, "initial": initial}], **options)
+    chosen = {"asset": asset, "initial": initial, "animation": _animation(frames, bind_pose_only)}
+    _run(config, out or _default_folder(asset), [*settings, chosen], **options)
+
+
+def _animation(frames: str | None, bind_pose_only: bool = False) -> dict[str, Any]:
+    """What the options say of a character."""
+    out: dict[str, Any] = {} if frames is None else {"frames": frames}
+    return out | ({"bind_pose_only": True} if bind_pose_only else {})
 
 
 def _mode(mode: str, asset: str, triangles: int | None, config, settings, options) -> str:
@@ -296,6 +310,7 @@ _JUDGED = _options(
     click.option("--resolution", type=click.IntRange(16, 8192), default=256, show_default=True, help="Side [px]."),
     click.option("--spp", type=click.IntRange(1, 65536), default=64, show_default=True, help="Samples per pixel."),
     click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Views and noise."),
+    _FRAMES,
     _VARIANT,
     _OVERWRITE,
     _QUIET,
@@ -324,14 +339,15 @@ def compare(**options) -> None:
         print(Path(options["out"], "report.html"))
 
 
-def _judge(reference, candidates, out, views, resolution, spp, seed, variant, overwrite, quiet) -> None:
+def _judge(reference, candidates, out, views, resolution, spp, seed, frames, variant, overwrite, quiet) -> None:
     _prepare(variant)
     from .job import evaluate_job, figure_rows
 
     with _progress(quiet) as progress:
         figures = evaluate_job(
             reference, candidates, out, progress,
-            n_views=views, resolution=resolution, spp=spp, seed=seed, variant=variant, overwrite=overwrite,
+            n_views=views, resolution=resolution, spp=spp, seed=seed, animation=_animation(frames), variant=variant,
+            overwrite=overwrite,
         )  # fmt: skip
     print("\n".join(figure_rows(figures)))
 
@@ -355,8 +371,9 @@ def report(out) -> None:
 @click.option("--spp", type=click.IntRange(1, 65536), default=64, show_default=True, help="Samples per pixel.")
 @click.option("--azimuth", type=float, default=30.0, show_default=True, help="Camera direction around +Y [degrees].")
 @click.option("--elevation", type=float, default=20.0, show_default=True, help="Camera height [degrees].")
+@click.option("--frame", type=float, help="Frame of a character's clip, in the numbers of its file; else the first.")
 @_VARIANT
-def render(asset, out, resolution, spp, azimuth, elevation, variant) -> None:
+def render(asset, out, resolution, spp, azimuth, elevation, frame, variant) -> None:
     """
     Render ASSET once: a model file, a Mitsuba scene, sample:relic, or the asset of a YAML config under its transport.
     """
@@ -374,7 +391,12 @@ def render(asset, out, resolution, spp, azimuth, elevation, variant) -> None:
 
     check_writable(picture.check_picture_path(out))
     image = picture.render_picture(
-        open_asset(asset), spp=spp, resolution=resolution, azimuth=azimuth, elevation=elevation, **settings
+        picture.in_frame(open_asset(asset), frame),
+        spp=spp,
+        resolution=resolution,
+        azimuth=azimuth,
+        elevation=elevation,
+        **settings,
     )
     picture.save_picture(image, out)
 

@@ -4,9 +4,10 @@ The main job: from an asset to a small textured model in files, with the figures
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from . import __version__
 from .checkpoint import Checkpoint
@@ -152,7 +153,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         clock.lap("evaluate")
         run = {
             **_facts(config), "variant": config.variant, "notes": notes, "seconds": clock.seconds,
-            "self_check": {"file": written.name, "psnr": round(shown, 2)},
+            "self_check": {"file": written.name, "psnr": round(shown, 2)}, **subject.facts(fitted.model),
         }  # fmt: skip
         comparison = replace(comparison, figures={**comparison.figures, "run": run})
         with folder.staged() as stage:
@@ -230,6 +231,7 @@ def evaluate_job(
     *,
     variant: str | None = None,
     overwrite: bool = False,
+    animation: Mapping[str, Any] | None = None,
     **settings: int,
 ) -> dict:
     """
@@ -245,7 +247,9 @@ def evaluate_job(
     ensure_variant(variant)
     progress(Progress("load"))
     is_config = Path(reference).suffix.lower() in (".yaml", ".yml")
-    subject = open_subject(load_config(reference) if is_config else Config(asset=reference))
+    chosen = [{"animation": dict(animation)}] if animation else []
+    named: list[dict[str, Any]] = [] if is_config else [{"asset": reference}]
+    subject = open_subject(load_config(reference if is_config else None, [*named, *chosen]))
     assets = {name: open_asset(name) for name in candidates}
     comparison = subject.judge(assets, progress=progress, **settings)
     if folder is not None:

@@ -10,7 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from .errors import OutputError
+from .errors import AssetError, OutputError
 from .export.files import write_atomic
 from .export.textures import png
 from .report.pictures import shown
@@ -44,6 +44,30 @@ def portrait_view(bounds: np.ndarray, *, resolution: int = 512, azimuth: float =
         center + 2.6 * radius * direction(azimuth, elevation), center, light,
         width=resolution, height=resolution, irradiance=2.5,
     )  # fmt: skip
+
+
+def in_frame(asset: Asset, code: float | None) -> Asset:
+    """
+    A character as it stands in a frame of its clip, numbered as in its file; without a number the first. Others as they
+    are.
+
+    Raises
+    ------
+    AssetError
+        The clip, if there is one, does not have this frame.
+    """
+    rig = asset.rig
+    if rig is None and code is None:
+        return asset
+    if rig is None:
+        raise AssetError(f"{asset.name} has no skeleton, so it has no frames; leave --frame out")
+    if code is None:
+        return asset.posed(0)
+    if not rig.codes[0] <= code <= rig.codes[-1]:
+        raise AssetError(
+            f"the clip of {asset.name} goes from {rig.codes[0]:g} to {rig.codes[-1]:g}; it has no {code:g}"
+        )
+    return asset.posed(float(np.interp(code, rig.codes, np.arange(rig.n_frames))))
 
 
 def render_picture(

@@ -55,24 +55,30 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     """
     if model.skin is not None:
         model = replace(model, skin=model.skin.pruned())
-    latent = Latent(model, _extended(model.base_color, model.specular))
-    operation, rig = latent.operation, written.rig
-    base = upload(mi.Float, operation.base.positions.ravel())
-    parameters = {name: upload(mi.Float, value) for name, value in operation.parameters.items()}
     found = []
     for frame in _frames(written):
         shown = written.posed(frame)
         views = held_out_views(shown.bounds, n_views, resolution).at(frame)
-        positions = operation.positions(base, parameters, views)
-        surface = latent.evaluate(positions, base, parameters, views)
-        fitted = _render(latent.topology, surface, latent.textures, positions, views, form)
-        (part,), tangents = shown.placed(), stored_tangents(written)
-        skin = written.parts[0].skin
-        if rig is not None and skin is not None and tangents is not None:
-            turned = turn(tangents[:, :3], skin, rig.matrices(frame)[:, :3, :3])
+        (part,), tangents, skin = shown.placed(), stored_tangents(written), written.parts[0].skin
+        if written.rig is not None and skin is not None and tangents is not None:
+            turned = turn(tangents[:, :3], skin, written.rig.matrices(frame)[:, :3, :3])
             tangents = np.concatenate([turned, tangents[:, 3:]], axis=1)
-        found.append(psnr(fitted, _render(*as_written(part, tangents), views, form)).mean())
+        there = _render(*as_written(part, tangents), views, form)
+        found.append(psnr(latent_images(model, views, form), there).mean())
     return float(np.mean(found))
+
+
+def latent_images(model: Model, views: Views, form: str = "gltf") -> np.ndarray:
+    """
+    A model as the fit shows it, lit directly, from views of one frame, shape (B, H, W, 4).
+    """
+    latent = Latent(model, _extended(model.base_color, model.specular))
+    operation = latent.operation
+    base = upload(mi.Float, operation.base.positions.ravel())
+    parameters = {name: upload(mi.Float, value) for name, value in operation.parameters.items()}
+    positions = operation.positions(base, parameters, views)
+    surface = latent.evaluate(positions, base, parameters, views)
+    return _render(latent.topology, surface, latent.textures, positions, views, form)
 
 
 def _frames(written: Asset) -> list[int]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from ..latent.rigging import Rigging
 from ..progress import ProgressCallback
 from ..report.evaluate import Comparison
 from ..report.frames import compare_characters
+from ..report.pruning import pruning_cost
 from ..scenes.asset import Asset, rig_of
 from ..scenes.rig import BIND_POSE, Rig
 from .subject import Subject
@@ -65,6 +67,12 @@ class Character(Subject):
         weights = bone_weights(rig, model.mesh.positions) if by_bones else carried_weights(asset, model.mesh)
         rigging = Rigging(weights, rig, boxes(asset), self.fitted, self.config.animation.influences)
         return replace(model, skin=rigging)
+
+    def facts(self, model: Model) -> dict[str, Any]:
+        """
+        See :class:`.subject.Subject`: what it costs that files keep few joints a vertex.
+        """
+        return {"pruning": pruning_cost(model, form=self.config.latent.shading)}
 
     def judge(
         self,

@@ -123,6 +123,12 @@ class Subject:
         place = np.asarray(light.position) / self.frame.scale + self.frame.center
         return views.lit_from(place, self.frame.center, light.irradiance)
 
+    def facts(self, model: Model) -> dict[str, Any]:
+        """
+        What ``metrics.json`` tells of a fitted model, in the normalised frame, besides the usual.
+        """
+        return {}
+
     def judge(
         self,
         candidates: Mapping[str, Asset],
