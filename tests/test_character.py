@@ -17,7 +17,7 @@ from mi_simplify.scenes.load import load_asset
 from mi_simplify.scenes.reference import make_reference
 from mi_simplify.scenes.views import held_out_views
 from mi_simplify.subjects import open_subject
-from mi_simplify.subjects.character import split_frames
+from mi_simplify.subjects.character import Character, split_frames
 
 SMALL = [
     "initial.triangles=300", "initial.atlas_size=128", "optimizer.steps=20", "optimizer.batch=2",
@@ -138,6 +138,7 @@ def test_the_fit_moves_weights_and_goes_on_where_it_was(subject, guess):
 def test_in_the_bind_pose_weights_stay(subject, guess):
     config = load_config(None, [WALKER, *SMALL, "animation.bind_pose_only=true"])
     bound = open_subject(config)
+    assert isinstance(bound, Character)
     model = bound.guess()[0]
     run = Run(model, bound.reference(), config)
     run.step()
