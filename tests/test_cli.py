@@ -343,7 +343,7 @@ def test_options_reach_the_job(monkeypatch, tmp_path, capsys):
         (["--init", "low.obj", "--keep-uv", "-n", "9"], {"kind": "mesh", "keep_uv": True, "triangles": 9}, None),
         (["--fixed-shape"], {}, ("base_color", "roughness", "metallic", "normal")),
         (["--normal-only"], {}, ("normal",)),
-        (["--skip", "kd, orm"], {}, ("vertices", "displacement", "skinning", "normal")),
+        (["--skip", "kd, orm"], {}, ("vertices", "displacement", "vertex_sets", "skinning", "normal")),
         (["--skip", "kd", "--skip", "metallic", "--fixed-shape"], {}, ("roughness", "normal")),
     ],
 )
