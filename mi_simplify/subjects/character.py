@@ -50,8 +50,8 @@ class Character(Subject):
         See :class:`.subject.Subject`: a first guess of the bind pose, with weights.
         """
         model, notes = super().guess()
-        if model.displacement is not None:
-            raise ConfigError("a character takes no displacement map; leave the section `displacement` out")
+        if model.displacement is not None or model.vertex_sets is not None:
+            raise ConfigError("a character has one vertex set and no displacement map; leave both out of `initial`")
         by_bones = self.config.initial.kind == "sphere"
         return self._with_weights(model, by_bones), notes
 
