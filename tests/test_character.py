@@ -1,6 +1,7 @@
 """Characters from file to file: fits over frames, exports that validators accept, verdicts in frames kept out."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -199,3 +200,36 @@ def test_the_command_line_does_all_of_it(tmp_path, capsys):
     assert cli.main([*picture, "11.5"]) == 0
     assert cli.main([*picture, "99"]) == 2
     assert "goes from 0 to 23; it has no 99" in capsys.readouterr().err
+
+
+def test_no_kernel_is_compiled_after_the_third_step(subject, guess):
+    """Frames change from step to step, what is compiled does not."""
+    import drjit as dr
+
+    def kernels(step) -> set:
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            dr.kernel_history_clear()
+            step()
+            dr.sync_thread()
+            return {k["hash"] for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT}
+
+    config = load_config(None, [WALKER, *SMALL, "optimizer.steps=40"])
+    fit = Run(guess, subject.reference(), config).fit
+    fit.pool.grow(16, 48)
+    threads = dr.thread_count()
+    dr.set_thread_count(2)  # what threads add up in private copies is compiled into kernels, but not for one thread
+    try:
+        seen = set.union(*(kernels(lambda k=k: fit.step(k)) for k in range(1, 4)))
+        for k in range(4, 12):
+            assert not kernels(lambda k=k: fit.step(k)) - seen, f"step {k} compiled a kernel"
+        reference = subject.reference()
+        views = [held_out_views(guess.skin.boxes[frame], 2, 48).at(frame) for frame in (1, 5, 9)]
+        first, second, third = [kernels(lambda v=v: reference.render(v)) for v in views]
+        assert not third - first - second
+    finally:
+        dr.set_thread_count(threads)
+
+
+def test_the_configuration_of_the_sample_is_one():
+    config = load_config(Path(__file__).parents[1] / "scenes" / "character.yaml")
+    assert isinstance(open_subject(config), Character)
