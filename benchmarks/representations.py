@@ -71,8 +71,8 @@ def settings_of(case: str, args: argparse.Namespace, folder: Path) -> list:
     if case == "vtk":
         return [*settings, "reference.renderer=vtk"]
     baked = {"transport": "baked", "environment": args.environment}
-    dim = {"views": {"light": {"irradiance": 0.001}}, "evaluation": {"light": "fitted"}}
-    return [*settings, {"reference": baked, **dim}]
+    static = {"views": {"light": {"position": [2.0, 3.0, 1.5]}}, "evaluation": {"light": "fitted"}}
+    return [*settings, {"reference": baked, **static}, "optimizer.rates.base_color=0.01"]
 
 
 def photographs(asset: str, folder: Path, case: str, environment: str | None) -> Path:

@@ -9,9 +9,9 @@ import mitsuba as mi
 import numpy as np
 
 from .. import memory
-from ..errors import AssetError, RuntimeUnavailable
 from ..scenes.asset import Asset, Instance, Material, Part
 from ..scenes.implicit import Implicit
+from ..scenes.marching_cubes import marching_cubes
 from ..upload import upload
 
 #: Points whose distances are computed at once.
@@ -58,29 +58,6 @@ def isosurface(surface: Implicit, resolution: int = 192) -> Asset:
     colors = np.concatenate([color, np.ones((n, 1))], axis=1).astype(np.float32)
     part = Part(positions, faces, normals.astype(np.float32), None, colors, material, surface.name)
     return Asset((part,), (Instance(0, name=surface.name),), name=surface.name)
-
-
-def marching_cubes(grid: np.ndarray, low: np.ndarray, cell, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Positions (P, 3), float64, and faces (F, 3), counter-clockwise from outside, of the zero set of a grid.
-
-    Parameters
-    ----------
-    grid : ndarray, shape (X, Y, Z)
-        Negative inside.
-    low : ndarray, shape (3,)
-        Where ``grid[0, 0, 0]`` is.
-    cell : (3,)
-        Distance of the grid's points along each axis.
-    """
-    try:
-        from skimage.measure import marching_cubes as lewiner
-    except ImportError as error:
-        raise RuntimeUnavailable(f"isosurfaces need scikit-image: pip install scikit-image ({error})") from error
-    if not (grid.min() < 0 < grid.max()):
-        raise AssetError(f"{name}: nothing of it is as large as a cell of the grid; raise implicit.resolution")
-    vertices, faces, _, _ = lewiner(grid, 0.0, spacing=tuple(cell), gradient_direction="descent")
-    return np.asarray(vertices, np.float64) + low, np.asarray(faces, np.int64)
 
 
 def _sampled(surface: Implicit, low: np.ndarray, cell: float, counts: np.ndarray) -> np.ndarray:

@@ -14,8 +14,8 @@ from ..errors import AssetError
 from ..scenes.asset import Asset, Instance, Material, Part
 from ..scenes.captured import Captured
 from ..scenes.image_reference import squared
+from ..scenes.marching_cubes import marching_cubes
 from ..upload import upload
-from .isosurface import marching_cubes
 
 #: Side of the masks that are projected [px].
 _MASK = 256

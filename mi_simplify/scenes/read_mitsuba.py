@@ -13,9 +13,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import AssetError
+from ..latent.topology import vertex_normals
 from ..upload import upload
 from .asset import Asset, Instance, Material, Part
 from .mapping import Mapping
+from .marching_cubes import marching_cubes
 from .mitsuba_file import Node, SceneFile
 from .mitsuba_material import Look, Materials, vertex_colors
 from .resources import Resources
@@ -98,8 +100,9 @@ def read_mitsuba(path: Path) -> SceneAsset:
     Read a Mitsuba XML scene.
 
     Emitting shapes and those of BSDF ``null`` are left out. Meshes keep their triangles, spheres,
-    cylinders, disks and rectangles are tessellated, others are stood in for by their bounding boxes; using
-    these as a surface raises. Materials are approximated by metallic-roughness, a note for each.
+    cylinders, disks and rectangles are tessellated, of an `sdfgrid` the isosurface is taken, others are stood in for by
+    their bounding boxes; using these as a surface raises. Materials are approximated by metallic-roughness, a note for
+    each.
 
     Raises
     ------
@@ -174,6 +177,8 @@ class _Shapes:
             flip = {"sphere": flip != (np.linalg.det(to_world) < 0), "disk": False}.get(node.plugin, flip)
             patch = SHAPES[node.plugin]().placed(to_world, flip)
             points = _points(patch)
+        elif node.plugin == "sdfgrid":
+            patch, points = _grid_patch(shape, str(node))
         elif shape.is_mesh():
             if not shape.face_count():  # any such mesh makes Dr.Jit fail at the others
                 raise AssetError(f"{self.resources.model.name}: {node} has no triangles; take it out of the scene")
@@ -255,6 +260,19 @@ def _mesh_patch(mesh: mi.Mesh) -> tuple[Patch, mi.SurfaceInteraction3f]:
     ray = dr.zeros(mi.Ray3f, len(vertices))
     ray.d = mi.Vector3f(0, 0, 1)
     return Patch(vertices, rewound, normals, uvs), pi.compute_surface_interaction(ray)
+
+
+def _grid_patch(shape: mi.Shape, name: str) -> tuple[Patch, mi.SurfaceInteraction3f]:
+    """
+    The isosurface of a grid of distances over the unit cube, and its vertices as textures see them.
+    """
+    params = mi.traverse(shape)
+    grid = np.array(params["grid"].numpy()[..., 0].T, np.float32)  # from z, y, x
+    positions, faces = marching_cubes(grid, np.zeros(3), 1 / (np.array(grid.shape) - 1), name)
+    normals = vertex_normals(positions, faces)
+    patch = Patch(positions, faces, normals, np.zeros((len(positions), 2)))
+    patch = patch.placed(_matrix(params["to_world"]))
+    return replace(patch, uvs=None), _points(patch)
 
 
 def _points(patch: Patch) -> mi.SurfaceInteraction3f:
