@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 
 from mi_simplify import cli
+from mi_simplify.export.captured import write_captured
 from mi_simplify.initial.sphere import sphere
+from mi_simplify.scenes.load import load_asset
+from mi_simplify.scenes.reference import make_reference
+from mi_simplify.scenes.views import goniometer
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -60,6 +64,11 @@ def workplace(finished, tmp_path, monkeypatch) -> Path:
         for block in blocks(page, "yaml"):
             if block.startswith("asset: statue.obj"):
                 (tmp_path / "statue.yaml").write_text(block)
+        for block in blocks(page, "python"):
+            if block.startswith("# mushroom.py"):
+                (tmp_path / "mushroom.py").write_text(block)
+    views = goniometer(12, np.random.default_rng(0), width=32, height=32)
+    write_captured("images", views.arrays(), make_reference(load_asset("statue.obj"), spp=4).render(views))
     return tmp_path
 
 
