@@ -80,7 +80,7 @@ def waves(n: int) -> tuple[np.ndarray, np.ndarray]:
 def run(line: str) -> int:
     """The exit code of a command, of which a documented run is made a short one."""
     argv = shlex.split(line)[1:]
-    fits = argv[0] in ("simplify", "run")
+    fits = argv[0] in ("simplify", "run", "lod")
     return cli.main([*argv, *(x for setting in SHORT * fits for x in ("--set", setting))])
 
 

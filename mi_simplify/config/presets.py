@@ -32,7 +32,7 @@ def prefiltering(target: int) -> dict[str, Any]:
             "batch": min(max(2 * 65536 // target**2, 2), 32),
             "spp": 8,
             "shade": "pixel",
-            "rates": {"base_color": 0.003, "specular": 0.01, "normal": 0.01},
+            "rates": {"base_color": 0.001, "specular": 0.003, "normal": 0.003},
         },
         "reference": {
             "spp": min(max((1 << 20) // target**2, 16), 256),

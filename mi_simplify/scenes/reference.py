@@ -97,6 +97,8 @@ class MitsubaReference:
 
     def __init__(self, shapes: dict, integrator: dict, spp: int):
         self.shapes, self.integrator, self.spp = shapes, integrator, spp
+        self.sampler: dict = {"type": "independent"}
+        """Mitsuba sampler of the camera, which may be replaced before the first image."""
         self._scene: mi.Scene | None = None
         self._film = (0, 0)
         self._moved: dict[str, np.ndarray] = {}
@@ -127,7 +129,8 @@ class MitsubaReference:
         if self._scene is not None and self._film == (width, height):
             return
         light = {"type": "point", "position": [0.0, 0.0, 0.0], "intensity": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
-        scene = {"type": "scene", "integrator": self.integrator, "view_sensor": view_sensor(arrays, 0, width, height)}
+        sensor = view_sensor(arrays, 0, width, height) | {"sampler": self.sampler}
+        scene = {"type": "scene", "integrator": self.integrator, "view_sensor": sensor}
         self._scene = mi.load_dict(scene | {"view_light": light} | self.shapes, optimize=False)
         self._film = (width, height)
         self._params = mi.traverse(self._scene)
