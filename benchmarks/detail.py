@@ -66,11 +66,11 @@ class Judge:
         reference.sampler = {"type": "stratified", "jitter": False}
         return reference.render(self.views, 6)
 
-    def strict(self, model) -> np.ndarray:
+    def strict(self, model, mips: str | None = None) -> np.ndarray:
         """A model with one sample in the middle of each pixel."""
         from mi_simplify.report.screen import Screen
 
-        return Screen(model, shade="centre").images(self.views)
+        return Screen(model, shade="centre", mips=mips).images(self.views)
 
     def figures(self, images: np.ndarray) -> tuple[float, float]:
         """PSNR [dB] and FLIP."""
@@ -108,8 +108,11 @@ def prefilter(args) -> None:
     large = 512 if size < 512 else 64
     steps = max(1, args.steps // (6 if large == 512 else 1))
     other = fitted([*base, f"optimizer.target_resolution={large}", f"optimizer.steps={steps}"], args.metal)[1]
+    plain = ["optimizer.batch=2", f"optimizer.steps={max(1, args.steps // 3)}"]
+    unfiltered = fitted([*base[:2], *plain], args.metal)[1]
     shown = {
         "the asset itself": (judge.once(), path.once()),
+        "fitted plainly, without mip levels": tuple(j.strict(unfiltered, "none") for j in (judge, path)),
         f"fitted for {large}²": (judge.strict(other), path.strict(other)),
         f"start for {size}²": (judge.strict(guess), path.strict(guess)),
         f"prefiltered for {size}²": (judge.strict(model), path.strict(model)),
