@@ -60,9 +60,10 @@ class Judge:
 
     def once(self) -> np.ndarray:
         """The asset with one sample in the middle of each pixel."""
-        from mi_simplify.scenes.reference import make_reference
+        from mi_simplify.scenes.reference import MitsubaReference, make_reference
 
         reference = make_reference(self.asset, spp=1)
+        assert isinstance(reference, MitsubaReference)
         reference.sampler = {"type": "stratified", "jitter": False}
         return reference.render(self.views, 6)
 
@@ -87,8 +88,8 @@ class Judge:
 
 
 def row(*cells) -> None:
-    print("| " + " | ".join(c if isinstance(c, str) else f"{c:.4f}" if abs(c) < 1 else f"{c:.2f}" for c in cells) + " |",
-          flush=True)  # fmt: skip
+    shown = [c if isinstance(c, str) else f"{c:.4f}" if abs(c) < 1 else f"{c:.2f}" for c in cells]
+    print("| " + " | ".join(shown) + " |", flush=True)
 
 
 def prefilter(args) -> None:
