@@ -399,6 +399,7 @@ def render(asset, out, resolution, spp, azimuth, elevation, frame, variant) -> N
         **settings,
     )
     picture.save_picture(image, out)
+    print(out)
 
 
 @cli.command()

@@ -77,7 +77,9 @@ def test_evaluate_bake_and_render_on_the_result(toy, tmp_path, capsys):
     assert image.shape == (48, 48, 3)
     assert image[24, 24].min() > 20
     assert image[0, 0].max() == 0
+    capsys.readouterr()
     assert cli.main(["render", sphere, "-o", str(tmp_path / "p.exr"), "--resolution", "16", "--spp", "1"]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'p.exr'}\n"
     assert (tmp_path / "p.exr").stat().st_size > 500
 
 
