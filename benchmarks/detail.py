@@ -58,13 +58,13 @@ class Judge:
         self.views, self.asset = views, subject.frame.normalised(subject.geometry)
         self.truth = make_reference(self.asset, spp=spp).render(views, 5)
 
-    def once(self) -> np.ndarray:
-        """The asset with one sample in the middle of each pixel."""
+    def once(self, anywhere: bool = False) -> np.ndarray:
+        """The asset with one sample in the middle of each pixel, or anywhere in it."""
         from mi_simplify.scenes.reference import MitsubaReference, make_reference
 
         reference = make_reference(self.asset, spp=1)
         assert isinstance(reference, MitsubaReference)
-        reference.sampler = {"type": "stratified", "jitter": False}
+        reference.sampler = {"type": "stratified", "jitter": anywhere}
         return reference.render(self.views, 6)
 
     def strict(self, model, mips: str | None = None) -> np.ndarray:
@@ -80,11 +80,10 @@ class Judge:
         return float(psnr(self.truth, images).mean()), float(flip(self.truth, images).mean())
 
     def flicker(self, images: np.ndarray) -> float:
-        """Mean absolute difference from frame to frame, less that of the asset without aliasing [1/255]."""
+        """Mean absolute change from frame to frame, less that of the asset without aliasing, pixel by pixel [1/255]."""
         from mi_simplify.report.metrics import tonemap
 
-        change = [np.abs(np.diff(tonemap(x), axis=0)).mean() * 255 for x in (images, self.truth)]
-        return float(change[0] - change[1])
+        return float(np.abs(np.diff(tonemap(images) - tonemap(self.truth), axis=0)).mean() * 255)
 
 
 def row(*cells) -> None:
@@ -113,6 +112,7 @@ def prefilter(args) -> None:
     unfiltered = fitted([*base[:2], *plain], args.metal)[1]
     shown = {
         "the asset itself": (judge.once(), path.once()),
+        "the asset, anywhere in the pixel": (judge.once(True), path.once(True)),
         "fitted plainly, without mip levels": tuple(j.strict(unfiltered, "none") for j in (judge, path)),
         f"fitted for {large}²": (judge.strict(other), path.strict(other)),
         f"start for {size}²": (judge.strict(guess), path.strict(guess)),

@@ -91,7 +91,8 @@ class Checkpoint:
         model = {**self._guess["model"]}
         model["mesh"] = Mesh(**model["mesh"])
         if model["displacement"] is not None:
-            model["displacement"] = Displacement(**model["displacement"])
+            given = model["displacement"]
+            model["displacement"] = Displacement(**{**given, "fitted": tuple(given["fitted"])})
         if model["skin"] is not None:
             skin = model["skin"]
             rig = Rig(**{**skin["rig"], "names": tuple(skin["rig"]["names"])})

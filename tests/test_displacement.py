@@ -13,13 +13,15 @@ from test_cli import bumpy_sphere
 from tiny_meshes import charted_sphere
 
 from mi_simplify import cli
+from mi_simplify.fitting.tessellations import tessellating
 from mi_simplify.integrators.deferred import DeferredRenderer
 from mi_simplify.latent.displacement import Displaced
 from mi_simplify.latent.latent import Latent
 from mi_simplify.latent.model import Displacement, Model
 from mi_simplify.latent.tessellation import Tessellation, tessellated
+from mi_simplify.report.screen import Screen
 from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.views import look_at
+from mi_simplify.scenes.views import goniometer, look_at
 from mi_simplify.upload import upload
 
 
@@ -133,11 +135,43 @@ def test_derivatives_of_an_image_against_differences():
         assert abs(mean - np.mean(both)) < max(0.01 * abs(np.mean(both)), 3 * noise), name
 
 
+def test_a_coarser_tessellation_on_the_finest_topology_is_the_same_surface():
+    """Of one model in several tessellations: images of each are those of the mesh that is split only so often."""
+    start = model(2, subdivisions=3)
+    assert start.displacement is not None
+    start = replace(start, displacement=replace(start.displacement, fitted=(1, 2, 3)))
+    latent = Latent(start)
+    renderer = DeferredRenderer(latent.topology)
+    views = look_at([[0.4, 0.8, -3.1]], [0.02, 0, 0.01], [[2, 1.5, -2.5]], width=48, height=48, irradiance=2.0)
+    base = upload(mi.Float, latent.operation.base.positions.ravel())
+    height = {"displacement": upload(mi.Float, latent.operation.parameters["displacement"])}
+    images = []
+    for level in (1, 2, 3):
+        shown = replace(views, frame=mi.Float(level))
+        positions = latent.operation.positions(base, height, shown)
+        renderer.move(positions)
+        surface = latent.evaluate(positions, base, height, shown)
+        frame = renderer.render(surface, latent.textures, views, spp=4, seed=dr.opaque(mi.UInt32, 1))
+        alone = Screen(tessellated(start, level), mips="none").images(views, spp=4)
+        images.append(frame.image.numpy().T.reshape(alone.shape))
+        assert np.mean(np.abs(images[-1] - alone) > 1e-3) < 0.005
+    assert np.abs(images[0] - images[2]).mean() > 1e-3
+
+
+def test_a_fit_for_several_tessellations_draws_views_of_each():
+    displacement = Displacement(np.zeros((4, 4), np.float32), 3, (1, 3))
+    draw = tessellating(lambda n, rng, size: [goniometer(n, rng, width=size, height=size)], displacement, 2)
+    parts = draw(8, np.random.default_rng(0), 16)
+    assert sorted((int(v.frame.numpy()[0]), len(v)) for v in parts) == [(1, 4), (3, 4)]
+    assert all(np.ptp(v.frame.numpy()) == 0 for v in parts)
+
+
 def test_a_displaced_model_from_the_command_line(tmp_path):
     """A base of 60 triangles, displaced, is nearer to the asset than the base; its files hold the same surface."""
     asset = bumpy_sphere(tmp_path, 24)
     settings = [
-        "initial.subdivisions=2", "initial.atlas_size=128", "optimizer.steps=4", "optimizer.batch=2",
+        "initial.subdivisions=2", "initial.tessellations=[1,2]", "initial.atlas_size=128", "optimizer.steps=4",
+        "optimizer.batch=2",
         "optimizer.resolution=48", "evaluation.views=2", "evaluation.resolution=48", "evaluation.spp=8",
         "reference.spp=2", "reference.pool=4", "export.formats=glb",
     ]  # fmt: skip

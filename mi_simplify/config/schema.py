@@ -149,6 +149,10 @@ class Initial(Section):
         description="Split every triangle in four so many times and displace what comes of it by a map; `triangles` "
         "are those before.",
     )
+    tessellations: Annotated[tuple[Annotated[int, Field(ge=0, le=5)], ...], BeforeValidator(_as_list)] = Field(
+        (),
+        description="Subdivisions, up to `subdivisions`, that a displaced model is fitted for at once; none: that one.",
+    )
     oversample: Literal[1, 2, 4, 8] = Field(
         1,
         description="Bake textures of so many times the side and filter them down, the spread of the normals below a "
@@ -166,6 +170,8 @@ class Initial(Section):
     def _mesh_is_named(self) -> Initial:
         if (self.kind == "mesh") != (self.mesh is not None):
             raise ValueError("`kind: mesh` and `mesh: FILE` go together, only one of them is set")
+        if self.tessellations and max(self.tessellations) != self.subdivisions:
+            raise ValueError("the largest of `tessellations` is `subdivisions`; set both")
         if self.source is not None and self.kind != "decimate":
             raise ValueError("`source` is what `kind: decimate` reduces, which is not set")
         if self.keep_uv and self.mesh is None:

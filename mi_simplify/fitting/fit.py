@@ -31,6 +31,7 @@ from .residual import PathResidual
 from .schedules import exponential, laplacian_weight, resolution_at
 from .shape import ShapeSteps
 from .sizes import at_sizes
+from .tessellations import tessellating
 from .texels import TexelAdam
 
 
@@ -92,7 +93,10 @@ class Fit:
                 spp=config.reference.spp, max_depth=config.reference.max_depth, form=config.latent.shading,
             )  # fmt: skip
         sized = partial(at_sizes, draw, config.optimizer.least_resolution)
-        of_batch, of_one = (following(draw, model.skin, n) for draw, n in ((sized, config.optimizer.batch), (draw, 1)))
+        of_batch, of_one = (
+            tessellating(following(draw, model.skin, n), model.displacement, n)
+            for draw, n in ((sized, config.optimizer.batch), (draw, 1))
+        )
         self.pool = ViewPool(reference, of_batch, config.reference.pool, np.random.default_rng(config.seed), residual)
         held_out = config.evaluation
         resolution = min(held_out.resolution, max(config.optimizer.resolution))

@@ -25,6 +25,10 @@ class Displaced:
 
     Where a texture seam runs, a position has two texture coordinates and takes the mean of both: no crack opens.
 
+    Fitted for several tessellations at once, views say by their ``frame`` which one they show. A coarser one is made on
+    the topology of the finest all the same, whose further vertices then lie in the middle of the coarse edges, and have
+    the means of the coarse normals, tangents and texture coordinates: the same surface, to the bit of its image.
+
     Parameters
     ----------
     model : Model
@@ -50,13 +54,17 @@ class Displaced:
         self._texels = [upload(mi.UInt32, column) for column in index.T]
         self._weights = [upload(mi.Float, column) for column in weight.T]
         self._where, self._n = upload(mi.UInt32, where), n
+        self._vertex_edges = [tuple(upload(mi.UInt32, end) for end in edges.T) for edges in tessellation.vertex_edges]
+        self._coarser = {k: Tessellation.of(model.mesh, k).mesh for k in displacement.fitted}
+        self._topologies: dict[int, MeshTopology] = {}
 
     def positions(self, base: mi.Float, parameters: dict[str, mi.Float], views: Views) -> mi.Float:
         """See :class:`.operation.MeshOperation`."""
         packets = self._topology.surface(base).packets
         normals = mi.Vector3f(dr.gather(mi.Vector4f, packets, self._vertex * 3 + 1).xyz)
         points = mi.Vector3f(dr.gather(mi.Point3f, base, dr.arange(mi.UInt32, dr.width(self._vertex))))
-        for edges in self._edges:
+        level = self._level(views)
+        for edges in self._edges[:level]:
             points, normals = (_with_midpoints(x, *edges) for x in (points, normals))
         normals *= dr.rsqrt(dr.maximum(dr.squared_norm(normals), 1e-12))
         height, total = parameters["displacement"], mi.Float(0)
@@ -64,19 +72,52 @@ class Displaced:
             total = total + dr.gather(mi.Float, height, texel) * weight
         heights = dr.zeros(mi.Float, self._n)
         dr.scatter_add(heights, total, self._where)
-        return dr.ravel(points + normals * heights)
+        points += normals * dr.gather(mi.Float, heights, dr.arange(mi.UInt32, dr.width(points)))
+        for edges in self._edges[level:]:
+            points = _with_midpoints(points, *edges)
+        return dr.ravel(points)
+
+    def _level(self, views: Views | None) -> int:
+        """Subdivisions that views show; reads them where there is a choice."""
+        if views is None or not self._coarser:
+            return len(self._edges)
+        level = int(views.frame.numpy()[0])
+        return level if level in self._coarser else len(self._edges)
 
     def surface(
         self, topology: MeshTopology, positions: mi.Float, base: mi.Float, parameters: dict[str, mi.Float], views: Views
     ) -> Surface:
         """See :class:`.operation.MeshOperation`."""
-        return topology.surface(positions)
+        level = self._level(views)
+        if level == len(self._edges):
+            return topology.surface(positions)
+        if level not in self._topologies:
+            self._topologies[level] = MeshTopology(self._coarser[level], topology.has_density)
+        coarse = self._topologies[level]
+        packets = coarse.surface(dr.gather(mi.Float, positions, dr.arange(mi.UInt32, 3 * coarse.n_positions))).packets
+        for ends in self._vertex_edges[level:]:
+            packets = _with_middle_packets(packets, *ends)
+        return Surface(packets, topology.faces)
 
     def written(self, model: Model, parameters: dict[str, np.ndarray]) -> Model:
         """See :class:`.operation.MeshOperation`."""
         assert model.displacement is not None
         height = np.asarray(parameters["displacement"], np.float32).reshape(self._height.shape)
         return replace(model, displacement=replace(model.displacement, height=height))
+
+
+def _with_middle_packets(packets: mi.Float, first: mi.UInt32, second: mi.UInt32) -> mi.Float:
+    """Packets of twelve floats with the means of those at the two ends of every edge appended."""
+    n, m = dr.width(packets), 12 * dr.width(first)
+    dr.eval(packets)
+    lane = dr.arange(mi.UInt32, m)
+    edge = lane // 12
+    ends = (dr.gather(mi.UInt32, index, edge) * 12 + (lane - edge * 12) for index in (first, second))
+    a, b = (dr.gather(mi.Float, packets, index) for index in ends)
+    out = dr.zeros(mi.Float, n + m)
+    dr.scatter(out, packets, dr.arange(mi.UInt32, n))
+    dr.scatter(out, 0.5 * (a + b), lane + n)
+    return out
 
 
 def _with_midpoints(values: mi.Vector3f, first: mi.UInt32, second: mi.UInt32) -> mi.Vector3f:

@@ -74,10 +74,13 @@ class Displacement:
         Displacement along the interpolated unit normal [units of the mesh].
     subdivisions : int
         How often every face is split in four.
+    fitted : tuple of int
+        Subdivisions that it is fitted for at once; empty: ``subdivisions`` alone.
     """
 
     height: np.ndarray
     subdivisions: int
+    fitted: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

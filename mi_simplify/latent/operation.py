@@ -9,6 +9,7 @@ from typing import Protocol
 import mitsuba as mi
 import numpy as np
 
+from ..errors import MeshError
 from ..scenes.views import Views
 from .model import Mesh, Model
 from .surface import MeshTopology, Surface
@@ -94,6 +95,10 @@ def operation_of(model: Model) -> MeshOperation:
     """
     The operation that a model's own fields ask for.
     """
+    if model.skin is not None and (model.displacement is not None or model.vertex_sets is not None):
+        raise MeshError(
+            "a character is neither displaced nor has vertex sets: leave out `initial.subdivisions` and those"
+        )
     if model.displacement is not None:
         from .displacement import Displaced
 

@@ -52,7 +52,7 @@ class MeshTopology:
         self.n_positions, self.n_vertices, self.n_faces = len(mesh.positions), len(mesh.uvs), len(mesh.faces)
         faces4 = np.concatenate([mesh.faces, np.zeros((self.n_faces, 1), np.int64)], axis=1)
         self.faces = upload(mi.UInt32, faces4.ravel())
-        self._stencil = _Stencil.of(mesh, density)
+        self._stencil, self.has_density = _Stencil.of(mesh, density), density
 
     def surface(self, positions: mi.Float) -> Surface:
         """

@@ -33,7 +33,8 @@ class Views:
     width, height : int
         Film size [pixels].
     frame : mi.Float, width B
-        Time of the animation frame; 0 for what does not move.
+        Time of the animation frame; of a displaced model that is fitted for several tessellations, its subdivisions;
+        0 for what does not move.
     ambient : mi.Float, optional
         Light besides the point lights, the same in all views, flat: (r, g, b) of an ambient term, see
         :mod:`..latent.ambient`. Only the latent renderer looks at it, and only :meth:`under` sets it.

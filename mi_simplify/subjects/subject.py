@@ -84,6 +84,8 @@ class Subject:
             crease_angle=initial.crease_angle,
             output=self.config.opacity.cards,
         )
+        if model.displacement is not None:
+            model = replace(model, displacement=replace(model.displacement, fitted=initial.tessellations))
         if initial.vertex_sets > 1:
             sizes = tuple(float(max(self.config.optimizer.resolution) / 2**k) for k in range(initial.vertex_sets))
             offsets = np.zeros((len(sizes) - 1, *model.mesh.positions.shape))
