@@ -90,14 +90,16 @@ def figures(target: np.ndarray, images: np.ndarray) -> dict:
 
 
 def sheet(rows: dict[str, np.ndarray], path: Path, view: int = 0) -> None:
-    """One view of every candidate side by side, cut to what there is to see."""
+    """One view of every candidate side by side, cut around the original."""
     from PIL import Image
 
     from mi_simplify.report.metrics import tonemap
 
-    covered = np.any([x[view, ..., 3] > 0.02 for x in rows.values()], axis=0)
+    covered = rows["original"][view, ..., 3] > 0.02
     y, x = (np.flatnonzero(covered.any(k)) for k in (1, 0))
-    cut = [tonemap(im[view])[y[0] : y[-1] + 1, x[0] : x[-1] + 1] for im in rows.values()]
+    margin = len(covered) // 50
+    box = [slice(max(k[0] - margin, 0), k[-1] + margin) for k in (y, x)]
+    cut = [tonemap(im[view])[box[0], box[1]] for im in rows.values()]
     image = Image.fromarray((np.concatenate(cut, 1) * 255).astype(np.uint8))
     image.thumbnail((1600, 600))
     image.save(path, quality=85)
