@@ -143,6 +143,8 @@ def lod_job(
     config = configure({"export": {"formats": formats}})
     ensure_variant(config.variant)
     subject = open_subject(config)
+    if subject.geometry.rig is not None:
+        raise ConfigError("levels of detail take no skeletons; run simplify on this character once for each budget")
     frame = subject.frame
     bounds = np.stack([(corner - frame.center) * frame.scale for corner in subject.geometry.bounds])
     make_folder(out)

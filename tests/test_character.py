@@ -233,3 +233,8 @@ def test_no_kernel_is_compiled_after_the_third_step(subject, guess):
 def test_the_configuration_of_the_sample_is_one():
     config = load_config(Path(__file__).parents[1] / "scenes" / "character.yaml")
     assert isinstance(open_subject(config), Character)
+
+
+def test_levels_of_a_character_are_refused(tmp_path, capsys):
+    assert cli.main(["lod", WALKER["asset"], "--triangles", "300,100", "-o", str(tmp_path / "lod")]) == 2
+    assert "run simplify on this character once for each budget" in capsys.readouterr().err
