@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdUtils, UsdValidation
@@ -12,13 +13,17 @@ from mi_simplify.config import load_config
 from mi_simplify.errors import ConfigError
 from mi_simplify.export import export_model
 from mi_simplify.fitting import Run
+from mi_simplify.initial.weights import bone_weights
+from mi_simplify.latent.latent import Latent
 from mi_simplify.report.pruning import pruning_cost
 from mi_simplify.report.self_check import self_check
 from mi_simplify.scenes.load import load_asset
 from mi_simplify.scenes.reference import make_reference
+from mi_simplify.scenes.rig import deform
 from mi_simplify.scenes.views import held_out_views
 from mi_simplify.subjects import open_subject
 from mi_simplify.subjects.character import Character, split_frames
+from mi_simplify.upload import upload
 
 SMALL = [
     "initial.triangles=300", "initial.atlas_size=128", "optimizer.steps=20", "optimizer.batch=2",
@@ -161,6 +166,23 @@ def test_frames_are_chosen_by_the_numbers_of_the_file(subject, animation, fitted
     config = load_config(None, [WALKER, {"animation": animation}])
     found = split_frames(subject.geometry.rig, config.animation)
     assert len(found[0]) == fitted and list(found[1]) == judged
+
+
+def test_weights_follow_the_bones_while_a_sphere_is_fitted():
+    """A vertex that moves to another bone is that bone's, unless what is optimised says otherwise."""
+    sphere = open_subject(load_config(None, [WALKER, *SMALL, "initial.kind=sphere"]))
+    guess = sphere.guess()[0]
+    rigging, operation = guess.skin, Latent(guess).operation
+    moved = 0.6 * guess.mesh.positions
+    logits = upload(mi.Float, operation.parameters["skinning"])
+    views = held_out_views(rigging.boxes[6], 1, 8).at(6)
+    there = operation.positions(upload(mi.Float, moved.ravel()), {"skinning": logits}, views).numpy().reshape(-1, 3)
+    fitted = Latent(guess).model(moved, operation.parameters)
+    assert fitted.skin.reach == 0  # from here on the weights are what they are
+    weights, _ = bone_weights(rigging.rig, moved)
+    assert np.abs(weights - rigging.weights).max() > 0.2
+    np.testing.assert_allclose(fitted.skin.weights, weights, atol=0.01)
+    np.testing.assert_allclose(there, deform(moved, fitted.skin.skin(), rigging.rig.matrices(6)), atol=2e-3)
 
 
 def test_frames_beyond_the_clip_are_an_error(subject):

@@ -9,7 +9,7 @@ import numpy as np
 from ..latent.model import Mesh
 from ..latent.topology import vertex_normals
 from ..scenes.asset import Asset
-from ..scenes.rig import Rig
+from ..scenes.rig import Rig, bone_distances
 from .closest import ClosestPoints
 
 #: Distance over which the pull of a bone falls to 1/e, as a share of the skeleton's longest side.
@@ -43,12 +43,11 @@ def carried_weights(asset: Asset, mesh: Mesh) -> np.ndarray:
     return (weights / weights.sum(1, keepdims=True)).astype(np.float32)
 
 
-def bone_weights(rig: Rig, positions: np.ndarray) -> np.ndarray:
+def bone_weights(rig: Rig, positions: np.ndarray) -> tuple[np.ndarray, float]:
     """
     Weights by the distance to the bones in the bind pose, knowing nothing of a surface.
 
-    A joint's bones lead to its children; a joint without any is a point. The pull falls exponentially with the
-    distance beyond that of the closest bone.
+    The pull falls exponentially with the distance beyond that of the closest bone.
 
     Parameters
     ----------
@@ -57,21 +56,12 @@ def bone_weights(rig: Rig, positions: np.ndarray) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (P, J), float32
+    weights : ndarray, shape (P, J), float32
         Of sum 1.
+    reach : float
+        Distance over which the pull falls to 1/e.
     """
-    joints = rig.bind[:, :3, 3]
-    child = np.flatnonzero(rig.parents >= 0)
-    owner, end = rig.parents[child], joints[child]
-    leaves = np.setdiff1d(np.arange(len(joints)), owner)
-    owner, end = np.concatenate([owner, leaves]), np.concatenate([end, joints[leaves]])
-    start = joints[owner]
-    way = end - start
-    share = np.einsum("psi,si->ps", positions[:, None] - start, way) / np.maximum((way**2).sum(1), 1e-30)
-    nearest = start + np.clip(share, 0, 1)[..., None] * way
-    distance = np.linalg.norm(positions[:, None] - nearest, axis=2)  # (P, bones)
-    closest = np.full((len(positions), len(joints)), np.inf)
-    np.minimum.at(closest.T, owner, distance.T)
-    reach = _REACH * max(float(np.ptp(joints, axis=0).max()), 1e-12)
-    weights = np.exp(-(closest - closest.min(1, keepdims=True)) / reach)
-    return (weights / weights.sum(1, keepdims=True)).astype(np.float32)
+    distance = bone_distances(rig, positions)
+    reach = _REACH * max(float(np.ptp(rig.bind[:, :3, 3], axis=0).max()), 1e-12)
+    weights = np.exp(-(distance - distance.min(1, keepdims=True)) / reach)
+    return (weights / weights.sum(1, keepdims=True)).astype(np.float32), reach

@@ -26,6 +26,9 @@ class Rigging:
         Where the character is in each frame of the clip, for cameras to follow; last in the bind pose.
     fitted : ndarray, shape (N,), int64
         Frames that the fit sees; -1 is the bind pose.
+    reach : float
+        Above 0: while it is fitted, weights follow the distance of the moving vertices to the bones, and fall to 1/e
+        over this distance; what is optimised comes on top.
     influences : int
         Joints that may pull at a vertex of an exported file, at most.
     """
@@ -35,6 +38,7 @@ class Rigging:
     boxes: np.ndarray
     fitted: np.ndarray
     influences: int = 4
+    reach: float = 0.0
 
     def transformed(self, scale: float, offset: np.ndarray) -> Rigging:
         """
@@ -42,7 +46,8 @@ class Rigging:
         """
         matrix = np.diag([scale, scale, scale, 1.0])
         matrix[:3, 3] = offset
-        return replace(self, rig=self.rig.transformed(matrix), boxes=self.boxes * scale + np.asarray(offset))
+        box = self.boxes * scale + np.asarray(offset)
+        return replace(self, rig=self.rig.transformed(matrix), boxes=box, reach=self.reach * scale)
 
     def skin(self, limit: int | None = None) -> Skin:
         """

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..scenes.rig import BIND_POSE, normal_matrices
+from ..scenes.rig import BIND_POSE, bone_distances, bones, normal_matrices
 from ..scenes.views import Views
 from ..upload import upload
 from .model import Model
@@ -40,12 +40,23 @@ class Skinning:
     def __init__(self, model: Model, rigging: Rigging):
         self.base = self.mesh = model.mesh
         self._rigging = rigging
+        self._bones: list[mi.Float] = []
         self._n_joints, self._n_frames = rigging.weights.shape[1], rigging.rig.n_frames
         self.parameters: dict[str, np.ndarray] = {}
         self._weights = upload(mi.Float, rigging.weights.ravel())
         if len(rigging.fitted) > 1:  # a single pose says nothing of weights
             least = _LEAST / self._n_joints
-            self.parameters["skinning"] = np.log(np.maximum(rigging.weights, least)).astype(np.float32).ravel()
+            logits = np.log(np.maximum(rigging.weights, least))
+            logits = logits if rigging.reach <= 0 else np.zeros_like(logits)  # the distance says it all
+            self.parameters["skinning"] = logits.astype(np.float32).ravel()
+        if rigging.reach > 0:
+            owner, start, end = bones(rigging.rig)
+            rank = np.array([np.sum(owner[:k] == joint) for k, joint in enumerate(owner)])
+            table = np.zeros((int(rank.max()) + 1, self._n_joints, 8))
+            for k in range(len(table)):  # of a joint with fewer bones its first one again
+                table[k, owner[rank == 0]] = np.pad(np.hstack([start, end]), ((0, 0), (0, 2)))[rank == 0]
+                table[k, owner[rank == k]] = np.pad(np.hstack([start, end]), ((0, 0), (0, 2)))[rank == k]
+            self._bones = [upload(mi.Float, rows.ravel()) for rows in table]
         moves = np.stack([rigging.rig.matrices(frame) for frame in (*range(self._n_frames), BIND_POSE)])
         turns = np.zeros_like(moves)
         turns[:, :, :3, :3] = np.stack([normal_matrices(m) for m in moves])
@@ -54,7 +65,7 @@ class Skinning:
 
     def positions(self, base: mi.Float, parameters: dict[str, mi.Float], views: Views) -> mi.Float:
         """See :class:`.operation.MeshOperation`."""
-        weights = self._of(parameters)
+        weights = self._of(parameters, base)
         lane = dr.arange(mi.UInt32, dr.width(weights))  # one for each joint of each position
         position = lane // self._n_joints
         v = dr.gather(mi.Point3f, base, position)
@@ -68,7 +79,7 @@ class Skinning:
         vertex = lanes // n
         joint = lanes - vertex * n
         place = dr.gather(mi.UInt32, self._position_index, vertex)
-        weights = dr.gather(mi.Float, self._of(parameters), place * n + joint)
+        weights = dr.gather(mi.Float, self._of(parameters, base), place * n + joint)
         rest = topology.surface(base).packets
         own = dr.arange(mi.UInt32, topology.n_vertices)
         p = dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, self._position_index, own))
@@ -95,8 +106,32 @@ class Skinning:
             out.append(dr.block_sum(weights * (dr.dot(row.xyz, v) + row.w * w), self._n_joints))
         return out
 
-    def _of(self, parameters: dict[str, mi.Float]) -> mi.Float:
-        return self.weights(parameters["skinning"]) if parameters else self._weights
+    def _of(self, parameters: dict[str, mi.Float], base: mi.Float) -> mi.Float:
+        if not parameters:
+            return self._weights
+        logits = parameters["skinning"]
+        return self.weights(logits + self._following(dr.detach(base)) if self._bones else logits)
+
+    def _following(self, base: mi.Float) -> mi.Float:
+        """:meth:`_prior` of positions on the device."""
+        n = self._n_joints
+        lane = dr.arange(mi.UInt32, dr.width(base) // 3 * n)
+        position = lane // n
+        joint = lane - position * n
+        v, distance2 = dr.gather(mi.Point3f, base, position), mi.Float(dr.inf)
+        for table in self._bones:
+            a, b = (dr.gather(mi.Vector4f, table, 2 * joint + k) for k in range(2))
+            start, end = mi.Point3f(a.x, a.y, a.z), mi.Point3f(a.w, b.x, b.y)
+            way = end - start
+            share = dr.clip(dr.dot(v - start, way) / dr.maximum(dr.squared_norm(way), 1e-12), 0, 1)
+            distance2 = dr.minimum(distance2, dr.squared_norm(v - start - way * share))
+        return dr.sqrt(distance2) * dr.opaque(mi.Float, -1 / self._rigging.reach)
+
+    def _prior(self, positions: np.ndarray) -> np.ndarray:
+        """What follows the positions in the logarithms of the weights, shape (P, J) or 0."""
+        if self._rigging.reach <= 0:
+            return np.zeros(1)
+        return -bone_distances(self._rigging.rig, positions) / self._rigging.reach
 
     def weights(self, logits: mi.Float) -> mi.Float:
         """
@@ -113,9 +148,10 @@ class Skinning:
         if not parameters:
             return model
         logits = np.asarray(parameters["skinning"], np.float64).reshape(-1, self._n_joints)
+        logits = logits + self._prior(model.mesh.positions)
         e = np.exp(logits - logits.max(1, keepdims=True))
         weights = (e / e.sum(1, keepdims=True)).astype(np.float32)
-        return replace(model, skin=replace(self._rigging, weights=weights))
+        return replace(model, skin=replace(self._rigging, weights=weights, reach=0.0))
 
 
 def _unit(v: mi.Vector3f, otherwise: mi.Vector3f) -> mi.Vector3f:

@@ -149,3 +149,34 @@ def normal_matrices(matrices: np.ndarray) -> np.ndarray:
     cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
     size = np.abs(np.linalg.det(linear))[:, None, None]
     return cofactors / np.where(size > 1e-12, size, 1)
+
+
+def bones(rig: Rig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Bones in the bind pose: from each joint to its children; a joint without any is a point.
+
+    Returns
+    -------
+    owner : ndarray, shape (S,), int64
+        Joint that moves each bone.
+    start, end : ndarray, shape (S, 3)
+    """
+    joints = rig.bind[:, :3, 3]
+    child = np.flatnonzero(rig.parents >= 0)
+    leaves = np.setdiff1d(np.arange(len(joints)), rig.parents[child])
+    owner = np.concatenate([rig.parents[child], leaves])
+    return owner, joints[owner], joints[np.concatenate([child, leaves])]
+
+
+def bone_distances(rig: Rig, positions: np.ndarray) -> np.ndarray:
+    """
+    Distance of positions (P, 3) to the closest bone of each joint in the bind pose, shape (P, J).
+    """
+    owner, start, end = bones(rig)
+    way = end - start
+    share = np.einsum("psi,si->ps", positions[:, None] - start, way) / np.maximum((way**2).sum(1), 1e-30)
+    nearest = start + np.clip(share, 0, 1)[..., None] * way
+    distance = np.linalg.norm(positions[:, None] - nearest, axis=2)  # (P, S)
+    out = np.full((len(positions), len(rig.names)), np.inf)
+    np.minimum.at(out.T, owner, distance.T)
+    return out

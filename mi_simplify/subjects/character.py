@@ -64,8 +64,13 @@ class Character(Subject):
     def _with_weights(self, model: Model, by_bones: bool = False) -> Model:
         asset = self.frame.normalised(self.geometry)
         rig = rig_of(asset)
-        weights = bone_weights(rig, model.mesh.positions) if by_bones else carried_weights(asset, model.mesh)
-        rigging = Rigging(weights, rig, boxes(asset), self.fitted, self.config.animation.influences)
+        fitted, reach = self.fitted, 0.0
+        if by_bones:  # where limbs are spread, so that a sphere finds them: every other instant
+            weights, reach = bone_weights(rig, model.mesh.positions)
+            fitted = np.concatenate([fitted, np.full(len(fitted), BIND_POSE)])
+        else:
+            weights = carried_weights(asset, model.mesh)
+        rigging = Rigging(weights, rig, boxes(asset), fitted, self.config.animation.influences, reach)
         return replace(model, skin=rigging)
 
     def facts(self, model: Model) -> dict[str, Any]:
