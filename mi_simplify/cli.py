@@ -375,29 +375,21 @@ def report(out) -> None:
 @_VARIANT
 def render(asset, out, resolution, spp, azimuth, elevation, frame, variant) -> None:
     """
-    Render ASSET once: a model file, a Mitsuba scene, sample:relic, or the asset of a YAML config under its transport.
+    Render ASSET once: whatever simplify takes, or the asset of a YAML config under its transport.
     """
-    settings: dict[str, Any] = {}
-    if Path(asset).suffix.lower() in (".yaml", ".yml"):
-        from .config import load_config
+    from .config import load_config
 
-        config = load_config(asset)
-        asset, variant = config.asset, variant or config.variant
-        settings = {"transport": config.reference.transport, "max_depth": config.reference.max_depth}
-    _prepare(variant)
+    is_config = Path(asset).suffix.lower() in (".yaml", ".yml")
+    named = [] if is_config else [{"asset": asset, "reference": {"transport": "baked"}}]
+    config = load_config(asset if is_config else None, named)
+    _prepare(variant or config.variant)
     from . import picture
     from .output import check_writable
-    from .subjects import open_asset
+    from .subjects import open_subject
 
     check_writable(picture.check_picture_path(out))
-    image = picture.render_picture(
-        picture.in_frame(open_asset(asset), frame),
-        spp=spp,
-        resolution=resolution,
-        azimuth=azimuth,
-        elevation=elevation,
-        **settings,
-    )
+    subject = open_subject(config)
+    image = subject.picture(frame, spp=spp, resolution=resolution, azimuth=azimuth, elevation=elevation)
     picture.save_picture(image, out)
     print(out)
 

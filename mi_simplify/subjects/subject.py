@@ -17,6 +17,7 @@ from ..frame import Frame
 from ..initial import first_guess, quadrics_only
 from ..latent.harmonics import constant_environment, environment_coefficients
 from ..latent.model import Model, VertexSets
+from ..picture import in_frame, portrait_view, render_picture
 from ..progress import ProgressCallback
 from ..report.evaluate import Comparison, Rendering, compare_assets, compare_renderings
 from ..scenes.asset import Asset
@@ -157,6 +158,26 @@ class Subject:
             )
         views = self.lit_as_fitted(held_out_views(self.geometry.bounds, n_views, resolution, seed))
         return self.compared(self.renderer(spp), candidates, views, {"spp": spp, "seed": seed}, progress)
+
+    def picture(self, frame: float | None = None, *, spp: int = 64, **view: Any) -> np.ndarray:
+        """
+        One picture, shape (H, W, 4), linear: as fitted where only its own renderer can show it, else under a dim sky.
+
+        Parameters
+        ----------
+        frame : float, optional
+            Of its animation.
+        spp : int
+            Samples per pixel.
+        view
+            As in :func:`mi_simplify.picture.portrait_view`.
+        """
+        reference = self.config.reference
+        if self.config.evaluation.light == "fitted":
+            views = self.lit_as_fitted(portrait_view(self.geometry.bounds, **view))
+            return self.renderer(spp).render(views)[0]
+        asset, transport = in_frame(self.geometry, frame), reference.transport
+        return render_picture(asset, transport=transport, spp=spp, max_depth=reference.max_depth, **view)
 
     def renderer(self, spp: int) -> Reference:
         """
