@@ -60,7 +60,7 @@ STARTS: dict[str, dict[str, Any]] = {
         "initial": {"textures": "constant"},
         "optimizer": {
             "resolution": [128, 256],
-            "rates": {"vertices": 0.02, "base_color": 0.05, "specular": 0.01, "normal": 0.01},
+            "rates": {"vertices": 0.02, "base_color": 0.15, "specular": 0.01, "normal": 0.01},
             "large_steps": {"lambda_": 10.0},
         },
         "loss": {"coverage": 10.0, "laplacian": {"weight": 0.0}},
