@@ -1,5 +1,7 @@
 """After three steps everything that runs is compiled, whatever changes from step to step."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -62,6 +64,20 @@ def test_no_kernel_of_a_fit_is_compiled_after_the_third_step(name, section):
     seen = set.union(*(kernels(lambda k=k: fit.step(k)) for k in range(1, 4)))
     for k in range(4, 15):  # other views, seeds, learning rates and weights in every one
         assert not kernels(lambda k=k: fit.step(k)) - seen, f"step {k} compiled a kernel"
+
+
+@pytest.mark.parametrize("mode", ["MASK", "BLEND"])
+def test_no_kernel_of_transparent_layers_is_compiled_after_the_third_step(mode):
+    optimizer = {"batch": 2, "resolution": 32, "spp": 1, "steps": 40}
+    latent = {"optimize": ["base_color", "opacity", "vertices"]}
+    settings = {"asset": "none", "reference": {"refresh": 0, "pool": 24}, "latent": latent, "optimizer": optimizer}
+    fit = Fit(replace(model(), alpha_mode=mode), CallableReference(noise), Config.model_validate(settings))
+    fit.pool.grow(24, 32)
+    seen = set.union(*(kernels(lambda k=k: fit.step(k)) for k in range(1, 4)))
+    for k in range(4, 15):
+        assert not kernels(lambda k=k: fit.step(k)) - seen, f"step {k} compiled a kernel"
+    fit.judge()
+    assert 0 <= fit.beyond < 0.05
 
 
 def test_no_kernel_of_the_plugin_is_compiled_after_the_third_step():

@@ -112,9 +112,10 @@ def layered_hits(faces: mi.UInt32, layers: int, keep: mi.Bool | None = None) -> 
     if dr.width(slot) == 0:
         return None
     first = dr.compress(slot % layers == 0)
-    end = dr.gather(mi.UInt32, first, dr.minimum(dr.arange(mi.UInt32, dr.width(first)) + 1, dr.width(first) - 1))
-    is_last = dr.arange(mi.UInt32, dr.width(first)) == dr.width(first) - 1
-    count = dr.select(is_last, dr.width(slot), end) - first
+    # Widths that change from step to step must not become part of a kernel.
+    ray, last = dr.arange(mi.UInt32, dr.width(first)), dr.opaque(mi.UInt32, dr.width(first) - 1)
+    end = dr.gather(mi.UInt32, first, dr.minimum(ray + 1, last))
+    count = dr.select(ray == last, dr.opaque(mi.UInt32, dr.width(slot)), end) - first
     dr.eval(first, count)
     return Hits(slot, faces, None, layers, first, count)
 
