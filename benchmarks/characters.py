@@ -59,6 +59,7 @@ def run(asset: str, triangles: int, case: str, settings: list[str], folder: Path
     overrides: list = [{"asset": asset}, f"initial.triangles={triangles}", "initial.atlas_size=1024"]
     config = ms.load_config(None, [*overrides, *CASES[case], *settings])
     subject = open_subject(config)
+    config = subject.config
     guess, _ = subject.guess()
     begin = time.perf_counter()
     fitted = fit(guess, subject.reference(), config).model

@@ -9,6 +9,7 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdUtils, UsdValidation
 
 from mi_simplify import cli
+from mi_simplify.checkpoint import Checkpoint
 from mi_simplify.config import load_config
 from mi_simplify.errors import ConfigError
 from mi_simplify.export import export_model
@@ -171,6 +172,9 @@ def test_frames_are_chosen_by_the_numbers_of_the_file(subject, animation, fitted
 def test_weights_follow_the_bones_while_a_sphere_is_fitted():
     """A vertex that moves to another bone is that bone's, unless what is optimised says otherwise."""
     sphere = open_subject(load_config(None, [WALKER, *SMALL, "initial.kind=sphere"]))
+    assert sphere.config.optimizer.rates.vertices == 0.05 and sphere.config.optimizer.large_steps.lambda_ == 4
+    own = load_config(None, [WALKER, *SMALL, "initial.kind=sphere", "optimizer.rates.vertices=0.3"])
+    assert open_subject(own).config.optimizer.rates.vertices == 0.3
     guess = sphere.guess()[0]
     rigging, operation = guess.skin, Latent(guess).operation
     moved = 0.6 * guess.mesh.positions
@@ -260,3 +264,14 @@ def test_the_configuration_of_the_sample_is_one():
 def test_levels_of_a_character_are_refused(tmp_path, capsys):
     assert cli.main(["lod", WALKER["asset"], "--triangles", "300,100", "-o", str(tmp_path / "lod")]) == 2
     assert "run simplify on this character once for each budget" in capsys.readouterr().err
+
+
+def test_a_first_guess_comes_back_from_its_checkpoint(subject, guess, tmp_path):
+    checkpoint = Checkpoint(tmp_path / "checkpoint", subject.config, subject.geometry)
+    checkpoint.begin(guess, ["a note"])
+    back, notes, state = Checkpoint(tmp_path / "checkpoint", subject.config, subject.geometry).load()
+    assert notes == ["a note"] and state is None and back.skin.rig.names == guess.skin.rig.names
+    for name in ("weights", "boxes", "fitted", "influences", "reach"):
+        np.testing.assert_array_equal(getattr(back.skin, name), getattr(guess.skin, name))
+    for name in ("parents", "bind", "poses", "codes", "rate"):
+        np.testing.assert_array_equal(getattr(back.skin.rig, name), getattr(guess.skin.rig, name))
