@@ -53,7 +53,8 @@ def write_displacement(model: Model, folder: Path, *, extras: dict | None = None
     Image.fromarray(levels).save(stream, "PNG")
     base = replace(model, displacement=None)
     facts = {
-        "subdivisions": displacement.subdivisions, "fitted_for": list(displacement.fitted), "low": low, "high": high, "png": "height.png", "exr": "height.exr",
+        "subdivisions": displacement.subdivisions, "fitted_for": list(displacement.fitted),
+        "low": low, "high": high, "png": "height.png", "exr": "height.exr",
         "rule": "split every triangle at the midpoints of its edges so many times, positions and normals interpolated, "
         "and move every vertex along its unit normal by what the map holds at its texture coordinate; the mean of all "
         "texture coordinates of a position along seams",
