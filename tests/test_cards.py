@@ -1,13 +1,17 @@
 """Cards: planes through clusters of leaves, their atlas, and how much they cover."""
 
+import json
+
 import numpy as np
 import pytest
 
+from mi_simplify import cli
 from mi_simplify.errors import MeshError
 from mi_simplify.initial.cards import cards, is_aggregate, lay_out
 from mi_simplify.initial.clusters import cluster_faces, pieces
 from mi_simplify.initial.crossing import crossing_cards
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
+from mi_simplify.scenes.load import load_asset
 from mi_simplify.scenes.reference import make_reference
 from mi_simplify.scenes.samples import sample_asset
 from mi_simplify.scenes.views import held_out_views
@@ -173,3 +177,26 @@ def test_plants_are_aggregates_and_the_relic_is_not():
     assert "pieces" in is_aggregate(sample_asset("shrub:20k"), 400)
     assert not is_aggregate(sample_asset("relic:20k"), 1000)
     assert not is_aggregate(leaves(30), 100)
+
+
+@pytest.mark.parametrize(
+    ("mode", "output"), [("auto", "mask"), pytest.param("cards", "opaque", marks=pytest.mark.slow)]
+)
+def test_cards_from_the_command_line(mode, output, tmp_path, capsys):
+    settings = [
+        "optimizer.steps=3", "optimizer.batch=2", "optimizer.resolution=32", "initial.atlas_size=128",
+        "evaluation.views=1", "evaluation.resolution=32", "evaluation.spp=4", "reference.spp=2", "reference.pool=4",
+        "export.formats=[glb]", f"opacity.cards={output}",
+    ]  # fmt: skip
+    sets = [x for s in settings for x in ("--set", s)]
+    line = ["simplify", "sample:shrub:5k", "--mode", mode, "-n", "400", "-o", str(tmp_path / "out"), *sets]
+    assert cli.main(line) == 0
+    said = capsys.readouterr().out
+    assert ("aggregate geometry" in said) == (mode == "auto")
+    asset = load_asset(tmp_path / "out" / "model.glb")
+    assert 300 < asset.n_triangles <= 400
+    assert {p.material.alpha_mode for p in asset.parts} == {"MASK" if output == "mask" else "OPAQUE"}
+    figures = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert any("cards for" in note for note in figures["run"]["notes"])
+    assert figures["candidates"]["result"]["psnr"] > 15
+    assert cli.main(["simplify", "sample:shrub:5k", "--mode", "cards", "--init", "sphere", "-o", str(tmp_path)]) == 2

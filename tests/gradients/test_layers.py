@@ -51,6 +51,7 @@ def test_gradients_of_one_card_among_others(layers):
     assert not [str(p) for p in pairs if not p.passes]
 
 
+@pytest.mark.slow
 def test_gradients_of_a_mask_that_is_cut_steeply():
     """What is wholly transparent is no layer, what is opaque ends the ray; both by the opacity as it is cut."""
     renderer = cards(layers=3)
