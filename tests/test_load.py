@@ -110,3 +110,16 @@ def test_bishop_is_the_same_from_gltf_and_usd(shared_assets):
     np.testing.assert_allclose(usd.uvs.mean(0), glb.uvs.mean(0), atol=1e-4)
     for name in ("base_color", "specular", "normal"):
         np.testing.assert_allclose(getattr(usd.material, name), getattr(glb.material, name), atol=2 / 255)
+
+
+@pytest.mark.parametrize("scale", [(1, 1, 1), (2, 1, 0.5), (-1, 1, 3), (1, 1, 0), (0, 0, 0)])
+def test_placed_normals_stay_upright_on_their_faces(scale):
+    """Also where an instance is flattened, which is how some programs hide it."""
+    p = np.array([[0, 0, 0], [1, 0, 0.5], [0, 1, 0.25]])
+    normal = np.cross(p[1] - p[0], p[2] - p[0])
+    part = Part(p, np.array([[0, 1, 2]]), normals=np.tile(normal / np.linalg.norm(normal), (3, 1)).astype(np.float32))
+    (placed,) = Asset((part,), (Instance(0, np.diag([*scale, 1.0])),)).placed()
+    a, b, c = placed.vertices[placed.faces[0]]
+    upright = np.cross(b - a, c - a)
+    length = np.linalg.norm(upright)
+    np.testing.assert_allclose(placed.normals[0], upright / length if length else 0, atol=1e-6)

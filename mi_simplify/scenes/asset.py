@@ -148,7 +148,9 @@ class Asset:
             linear = inst.to_world[:3, :3]
             normals = part.normals
             if normals is not None:
-                normals = normals @ np.linalg.inv(linear)
+                # Cofactors, the inverse but for a factor, are there for what is flattened to a plane as well.
+                cofactors = np.cross(np.roll(linear, -1, axis=0), np.roll(linear, -2, axis=0))
+                normals = normals @ cofactors.T * (-1 if np.linalg.det(linear) < 0 else 1)
                 normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
                 normals = normals.astype(np.float32)
             faces = part.faces[:, ::-1] if np.linalg.det(linear) < 0 else part.faces
