@@ -195,3 +195,10 @@ def test_a_message_holds_no_control_characters(tmp_path):
     glb.mesh({**glb.quad(), "indices": glb.accessor(np.uint16([0, 1, 99]))}, name="a\x1b[2J\nb" + "c" * 5000)
     line = refused(glb.save(tmp_path / "a.glb"), "refers to vertex|c{50}", UserError)
     assert line.isprintable()
+
+
+def test_a_mitsuba_image_without_a_file(tmp_path):
+    """Mitsuba reads through a null pointer then: found by the fuzzer."""
+    bitmap = '<bsdf type="diffuse"><texture type="bitmap" name="reflectance"/></bsdf>'
+    path = write(tmp_path / "a.xml", f'<scene version="3.0.0"><shape type="sphere">{bitmap}</shape></scene>')
+    refused(path, "a 'bitmap' names no image; give it a")

@@ -88,6 +88,8 @@ def check_plugins(path: Path, properties: Iterable[tuple[str, dict[str, Any]]]) 
                 raise AssetError(
                     f"{path.name}: plugin '{shown(plugin)}' would be loaded from {library}; only Mitsuba's own are"
                 )
+        if plugin in _IMAGES and "filename" not in values:  # which ends the process
+            raise AssetError(f"{path.name}: a '{plugin}' names no image; give it a <string name=\"filename\">")
         for name, value in values.items():
             if not isinstance(value, str) or not value:
                 continue
