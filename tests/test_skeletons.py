@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 from scipy.spatial import cKDTree
-from scipy.spatial import cKDTree
 from tiny_models import QUAD, Glb
 
 from mi_simplify.errors import AssetError, MeshError
