@@ -1,4 +1,4 @@
-# The whole vocabulary: install, demo, test, slow, full, fuzz, browser, lint, format, docs, clean (see CONTRIBUTING.md).
+# The whole vocabulary: install, demo, test, slow, fuzz, browser, lint, format, docs, clean (see CONTRIBUTING.md).
 # PYTHON=/path/to/python3.12 chooses the interpreter that .venv is made from.
 
 # The first Python from 3.11 to 3.13, for which all wheels exist.
@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 OUT ?= out/demo
 ARGS ?=
 
-.PHONY: install demo test slow full fuzz browser lint format docs clean
+.PHONY: install demo test slow fuzz browser lint format docs clean
 .DEFAULT_GOAL := install
 
 install: $(VENV)/.installed
@@ -50,12 +50,9 @@ demo: install
 test: browser
 	$(BIN)/python -m pytest -m "not slow" $(ARGS)
 
-slow: browser
-	$(BIN)/python -m pytest -m slow $(ARGS)
-
 # Two at a time: a test keeps little more than one core busy.
-full: browser
-	$(BIN)/python -m pytest -n 2 --dist worksteal --cov=mi_simplify --cov-report=term:skip-covered $(ARGS)
+slow: browser
+	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal $(ARGS)
 
 fuzz: install
 	$(BIN)/python tests/fuzz/fuzz.py $(ARGS)
