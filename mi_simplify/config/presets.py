@@ -57,7 +57,7 @@ STARTS: dict[str, dict[str, Any]] = {
     },
     # Of images: their hull has the outlines, but no hollows and no colours.
     "images": {
-        "initial": {"textures": "constant"},
+        "initial": {"textures": "constant", "crease_angle": 180.0},
         "optimizer": {
             "resolution": [128, 256],
             "rates": {"vertices": 0.02, "base_color": 0.15, "specular": 0.01, "normal": 0.01},

@@ -47,7 +47,9 @@ def sample_asset(name: str = "relic") -> Asset:
     """
     base, _, count = name.partition(":")
     if base not in _FULL:
-        raise AssetError(f"no sample is called {name!r}; there is {', '.join(sample_names())}")
+        if base == "creature":
+            raise AssetError("sample:creature is an implicit surface and no mesh: only what is simplified can be one")
+        raise AssetError(f"no sample is called {name!r}; there is {', '.join(sample_names())}, and creature")
     share = 1.0
     if count:
         text = count.lower()
