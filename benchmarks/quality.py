@@ -134,26 +134,34 @@ def write_page(records: dict[str, dict], page: Path) -> None:
     The table, and a picture for every case.
     """
     lines = [
-        "| case | asked for | quadrics, baked | first guess | result | gain over the first guess | seconds |",
-        "|---|---|---|---|---|---|---|",
+        "| case | asked for | quadrics, baked | first guess | result | over the former | over the latter | s |",
+        "|---|---|---|---|---|---|---|---|",
     ]  # fmt: skip
     for case in CASES:
         if case.name not in records:
             continue
         record = records[case.name]
         rows = record["figures"]
-        guess, result = (np.array([rows[name][key] for key in FIGURES]) for name in ("first guess", "result"))
-        change = [f"{result[0] - guess[0]:+.2f} dB", *(f"{x:+.0f} %" for x in 100 * (result[1:] / guess[1:] - 1))]
         cells = [shown([rows[name][key] for key in FIGURES]) for name in ("quadrics, baked", "first guess", "result")]
         lines.append(
-            f"| {case.name} | {shown(case.targets)} | {cells[0]} | {cells[1]} | **{cells[2]}** | {', '.join(change)} "
-            f"| {record['seconds']:.0f} |"
+            f"| {case.name} | {shown(case.targets)} | {cells[0]} | {cells[1]} | **{cells[2]}** "
+            f"| {gain(rows, 'quadrics, baked')} | {gain(rows, 'first guess')} | {record['seconds']:.0f} |"
         )
     for case in CASES:
         if case.name in records:
             lines += ["", f"## {case.name} triangles", "", f"![{case.name}](images/results-{slug(case.name)}.jpg)"]
     before, _, rest = page.read_text().partition(BEGIN)
     page.write_text(before + "\n".join([BEGIN, "", *lines, "", END]) + rest.partition(END)[2])
+
+
+def gain(rows: dict[str, dict], name: str) -> str:
+    """
+    What the result has over a candidate: dB, and percent of FLIP and silhouette error.
+    """
+    before, result = (np.array([rows[key][figure] for figure in FIGURES]) for key in (name, "result"))
+    return ", ".join(
+        [f"{result[0] - before[0]:+.1f} dB", *(f"{x:+.0f} %" for x in 100 * (result[1:] / before[1:] - 1))]
+    )
 
 
 def shown(row) -> str:
