@@ -115,13 +115,17 @@ class Rehearsal:
     def __init__(self):
         context = multiprocessing.get_context("fork")
         self._here, there = context.Pipe()
-        self._process = context.Process(target=self._serve, args=(there,), daemon=True)
+        self._process = context.Process(target=self._serve, args=(there, self._here), daemon=True)
         self._process.start()
 
     @staticmethod
-    def _serve(asked) -> None:
+    def _serve(asked, other) -> None:
+        other.close()  # or it would not be told that the one who asks has died
         while True:
-            path, room = asked.recv()
+            try:
+                path, room = asked.recv()
+            except EOFError:
+                return
             there, here = os.pipe()
             worker = os.fork()
             if not worker:
