@@ -106,10 +106,9 @@ def prefilter(args) -> None:
 
     guess, model, seconds = fitted([*base, f"optimizer.target_resolution={size}"], args.metal)
     large = 512 if size < 512 else 64
-    steps = max(1, args.steps // (6 if large == 512 else 1))
-    other = fitted([*base, f"optimizer.target_resolution={large}", f"optimizer.steps={steps}"], args.metal)[1]
-    plain = ["optimizer.batch=2", f"optimizer.steps={max(1, args.steps // 3)}"]
-    unfiltered = fitted([*base[:2], *plain], args.metal)[1]
+    steps = f"optimizer.steps={args.others}"
+    other = fitted([*base, f"optimizer.target_resolution={large}", steps], args.metal)[1]
+    unfiltered = fitted([*base[:2], "optimizer.batch=2", steps], args.metal)[1]
     shown = {
         "the asset itself": (judge.once(), path.once()),
         "the asset, anywhere in the pixel": (judge.once(True), path.once(True)),
@@ -208,6 +207,7 @@ def main() -> None:
     parser.add_argument("--triangles", type=int, default=9000)
     parser.add_argument("--budgets", default="9000,3000,1000,300")
     parser.add_argument("--steps", type=int, default=300)
+    parser.add_argument("--others", type=int, default=100, help="steps of the models that prefilter compares with")
     parser.add_argument("--views", type=int, default=24)
     parser.add_argument("--path", type=int, default=60, help="camera positions of the path")
     parser.add_argument("--out", default=ROOT / "out" / "detail")
