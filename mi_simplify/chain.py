@@ -33,6 +33,9 @@ from .subjects import open_subject
 #: What is written besides a GLB of every level and ``lod.json``.
 EXTRAS = ("msft_lod", "usd")
 
+#: A level that is to be seen in larger images than this is an ordinary run: one sample shows it well [pixels].
+LARGEST_FILM = 512
+
 
 @dataclass(frozen=True)
 class Level:
@@ -51,7 +54,7 @@ class Level:
     screen_share : float
         Share of a 1920 x 1080 screen that such a sphere covers; 1 for the finest.
     target_resolution : int or None
-        Side of the images that it was prefiltered for.
+        Side of the images that it was prefiltered for; None where it was not.
     flip_above : dict of str to float
         By size tried: FLIP between it and the level above, over what either covers, without aliasing.
     psnr, flip : float
@@ -164,7 +167,9 @@ def lod_job(
             guess, _ = open_subject(configure(keys)).guess()
             largest = levels[-1].screen_size or np.inf
             size, _ = switching_size(models[-1], guess, bounds, threshold, largest=largest, form=config.latent.shading)
-            keys["optimizer"] = {"target_resolution": _film(size, bounds, config)}
+            film = _film(size, bounds, config)
+            if film <= LARGEST_FILM:
+                keys["optimizer"] = {"target_resolution": film}
         settings = configure(keys)
         result = run_job(settings, folder, told, overwrite=overwrite)
         models.append(result.model.transformed(frame.scale, -frame.scale * frame.center))
@@ -201,7 +206,7 @@ def _film(size: float, bounds: np.ndarray, config: Config) -> int:
     """Side of the fit's images that show a bounding sphere of this diameter [pixels], in whole tiles of four."""
     radius = np.linalg.norm(bounds[1] - bounds[0]) / 2
     share = radius / (config.views.distance * np.tan(np.radians(config.views.fov) / 2))
-    return int(np.clip(4 * round(size / share / 4), 16, 1024))
+    return int(max(4 * round(size / share / 4), 16))
 
 
 def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray, config: Config) -> list[Level]:
