@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import mi_simplify as ms
-from mi_simplify.runtime import ensure_variant
+from mi_simplify.machine.runtime import ensure_variant
 
 CASES = {
     "fitted over the animation": ["optimizer.steps=600"],

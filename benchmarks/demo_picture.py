@@ -18,7 +18,7 @@ MARGIN = 45  # what the view has to spare around the asset
 
 def main(folder: Path, target: Path) -> None:
     ms.ensure_variant()
-    from mi_simplify.picture import portrait_view
+    from mi_simplify.jobs.picture import portrait_view
     from mi_simplify.report.pictures import shown
 
     config = ms.load_config(folder / "config.yaml")

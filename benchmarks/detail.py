@@ -172,7 +172,7 @@ def displacement(args) -> None:
 
 def chain(args) -> None:
     """The levels of one asset."""
-    from mi_simplify.chain import lod_job
+    from mi_simplify.jobs.chain import lod_job
 
     out = Path(args.out) / f"chain_{Path(args.asset).stem}"
     budgets = [int(n) for n in args.budgets.split(",")]

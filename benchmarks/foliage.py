@@ -26,7 +26,7 @@ def fitted(plant: str, triangles: int, folder: Path, settings: list[str]) -> Pat
     """The result's file; fits it where it is not there."""
     from mi_simplify.config import load_config
     from mi_simplify.display import Lines
-    from mi_simplify.job import run_job
+    from mi_simplify.jobs.job import run_job
 
     model = folder / "model.glb"
     if not model.is_file():
@@ -116,7 +116,7 @@ def main() -> None:
     p.add_argument("--spp", type=int, default=64)
     p.add_argument("-o", "--out", default="out/foliage")
     a = p.parse_args()
-    from mi_simplify.runtime import ensure_variant
+    from mi_simplify.machine.runtime import ensure_variant
 
     ensure_variant()
     plants = {a.plant: a.triangles} if a.plant else PLANTS

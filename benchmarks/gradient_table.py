@@ -15,7 +15,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from mi_simplify import runtime  # noqa: E402
+from mi_simplify.machine import runtime  # noqa: E402
 
 runtime.ensure_variant()
 

@@ -103,7 +103,7 @@ class Target:
 
         from mi_simplify.integrators.deferred import DeferredRenderer
         from mi_simplify.latent.latent import Latent
-        from mi_simplify.upload import upload
+        from mi_simplify.machine.upload import upload
 
         model = bumpy_sphere(n_triangles, n_texels, seed=1)
         self._latent = Latent(model)
@@ -149,7 +149,7 @@ def run_row(views: int, resolution: int, n_triangles: int, n_texels: int, option
     """
     Measure one configuration in this process; milliseconds and megabytes.
     """
-    from mi_simplify import runtime
+    from mi_simplify.machine import runtime
 
     runtime.ensure_variant()
     import drjit as dr

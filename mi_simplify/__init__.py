@@ -16,9 +16,9 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from .runtime import after_import as _after_import
-from .runtime import choose_llvm as choose_llvm
-from .runtime import ensure_variant as ensure_variant
+from .machine.runtime import after_import as _after_import
+from .machine.runtime import choose_llvm as choose_llvm
+from .machine.runtime import ensure_variant as ensure_variant
 
 __version__ = "0.1.0"
 
@@ -29,7 +29,7 @@ _EXPORTS = {
     "Model": "latent.model",
     "UserError": "errors",
     "bake": "initial",
-    "doctor": "diagnosis",
+    "doctor": "machine.diagnosis",
     "dump": "config",
     "evaluate": "report",
     "export_model": "export",
@@ -40,7 +40,7 @@ _EXPORTS = {
     "make_reference": "scenes.reference",
     "open_asset": "subjects",
     "report_folder": "report",
-    "run_job": "job",
+    "run_job": "jobs.job",
 }
 
 __all__ = ["choose_llvm", "ensure_variant", *_EXPORTS]
@@ -62,7 +62,7 @@ def __dir__() -> list[str]:
 
 
 def _install_plugins() -> None:
-    importlib.import_module(".plugins", __name__)  # registers itself
+    importlib.import_module(".machine.plugins", __name__)  # registers itself
 
 
 _after_import("mitsuba", _install_plugins)

@@ -216,7 +216,7 @@ def lod(asset, triangles, out, config, preset, settings, threshold, msft_lod, us
         return load_config(config, [*settings, chosen, keys], preset)
 
     _prepare(configure({}).variant)
-    from .chain import lod_job
+    from .jobs.chain import lod_job
 
     extras = [name for name, wanted in (("msft_lod", msft_lod), ("usd", usd)) if wanted]
     with _progress(quiet) as progress:
@@ -258,7 +258,7 @@ def _run(
     preset, variant, fixed_shape, normal_only, skip, memory_limit, tensorboard, dry_run, overwrite, resume, quiet,
 ) -> None:  # fmt: skip
     from .config import load_config, without
-    from .memory import limited, parse_size
+    from .machine.memory import limited, parse_size
 
     chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
     if tensorboard:
@@ -268,8 +268,8 @@ def _run(
     names = [name.strip() for text in skip for name in text.split(",")] + ["shape"] * fixed_shape
     settings = without(load_config(config, [*overrides, chosen], preset), names)
     _prepare(settings.variant)
-    from .forecast import forecast
-    from .job import run_job
+    from .jobs.forecast import forecast
+    from .jobs.job import run_job
 
     job: Callable[..., Any] = forecast if dry_run else run_job
     with limited(parse_size(memory_limit) if memory_limit else None), _progress(quiet) as progress:
@@ -292,7 +292,7 @@ def bake(reference, lowpoly, keep_uv, out, atlas_size, variant, overwrite, quiet
     Bake the look of REFERENCE into textures for LOWPOLY, a mesh of yours in the same place.
     """
     _prepare(variant)
-    from .job import bake_job
+    from .jobs.job import bake_job
 
     with _progress(quiet) as progress:
         files = bake_job(
@@ -341,7 +341,7 @@ def compare(**options) -> None:
 
 def _judge(reference, candidates, out, views, resolution, spp, seed, frames, variant, overwrite, quiet) -> None:
     _prepare(variant)
-    from .job import evaluate_job, figure_rows
+    from .jobs.job import evaluate_job, figure_rows
 
     with _progress(quiet) as progress:
         figures = evaluate_job(
@@ -383,8 +383,8 @@ def render(asset, out, resolution, spp, azimuth, elevation, frame, variant) -> N
     named = [] if is_config else [{"asset": asset, "reference": {"transport": "baked"}}]
     config = load_config(asset if is_config else None, named)
     _prepare(variant or config.variant)
-    from . import picture
-    from .output import check_writable
+    from .jobs import picture
+    from .record.output import check_writable
     from .subjects import open_subject
 
     check_writable(picture.check_picture_path(out))
@@ -412,7 +412,7 @@ def forest(config, out, instances, environment, gpu_instancing, overwrite, quiet
     changes = {"instances": instances, "environment": environment and str(Path(environment).resolve())}
     wanted = wanted.model_copy(update={key: value for key, value in changes.items() if value is not None})
     _prepare(None)
-    from .forest import render_forest, summary
+    from .jobs.forest import render_forest, summary
 
     folder = out or _default_folder(config)
     with _progress(quiet) as progress:
@@ -427,7 +427,7 @@ def doctor(variant) -> int:
     """
     Say what is installed, which LLVM is used, and whether a kernel runs.
     """
-    from .diagnosis import doctor as examine
+    from .machine.diagnosis import doctor as examine
 
     checks = examine(variant)
     for check in checks:
@@ -462,7 +462,7 @@ def config_schema(as_json) -> None:
 
 def _prepare(variant: str | None) -> None:
     """Set the variant before anything imports Dr.Jit, which would load whichever LLVM it finds."""
-    from .runtime import ensure_variant
+    from .machine.runtime import ensure_variant
 
     ensure_variant(variant)
 

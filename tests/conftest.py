@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from toy import files
 
-from mi_simplify import cli, runtime
+from mi_simplify import cli
+from mi_simplify.machine import runtime
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -15,10 +15,10 @@ from mi_simplify.fitting import Fit
 from mi_simplify.integrators.deferred import DeferredRenderer
 from mi_simplify.latent.latent import Latent
 from mi_simplify.latent.model import Model
+from mi_simplify.machine.upload import upload
 from mi_simplify.scenes.load import load_asset
 from mi_simplify.scenes.reference import make_reference
 from mi_simplify.scenes.views import goniometer
-from mi_simplify.upload import upload
 
 AMBIENT = np.float32([[0.3, 0.1, 0.5]])
 

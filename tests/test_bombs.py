@@ -14,8 +14,8 @@ from hostile import OBJ, TRIANGLE, refused, with_secret, write
 from pxr import UsdUtils
 from tiny_models import Glb, corner_pixels, png
 
-from mi_simplify import memory
 from mi_simplify.errors import AssetError, MemoryLimitError, UserError
+from mi_simplify.machine import memory
 from mi_simplify.scenes.images import decode_image
 from mi_simplify.scenes.load import load_asset
 

@@ -279,7 +279,7 @@ def test_a_diffuse_ball_in_an_environment_is_lit_as_by_mitsuba():
     from test_ambient import rendered
     from test_fit import textured_sphere
 
-    from mi_simplify.upload import upload
+    from mi_simplify.machine.upload import upload
 
     model = textured_sphere()
     specular = np.broadcast_to(np.float32([0, 0.7, 0]), model.specular.shape).copy()

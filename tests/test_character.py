@@ -9,13 +9,14 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdUtils, UsdValidation
 
 from mi_simplify import cli
-from mi_simplify.checkpoint import Checkpoint
 from mi_simplify.config import load_config
 from mi_simplify.errors import ConfigError
 from mi_simplify.export import export_model
 from mi_simplify.fitting import Run
 from mi_simplify.initial.weights import bone_weights
 from mi_simplify.latent.latent import Latent
+from mi_simplify.machine.upload import upload
+from mi_simplify.record.checkpoint import Checkpoint
 from mi_simplify.report.pruning import pruning_cost
 from mi_simplify.report.self_check import self_check
 from mi_simplify.scenes.load import load_asset
@@ -24,7 +25,6 @@ from mi_simplify.scenes.rig import deform
 from mi_simplify.scenes.views import held_out_views
 from mi_simplify.subjects import open_subject
 from mi_simplify.subjects.character import Character, split_frames
-from mi_simplify.upload import upload
 
 SMALL = [
     "initial.triangles=300", "initial.atlas_size=128", "optimizer.steps=20", "optimizer.batch=2",

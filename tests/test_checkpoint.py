@@ -19,14 +19,14 @@ from test_fit import textured_sphere
 from toy import bumpy_sphere, files
 
 from mi_simplify import cli
-from mi_simplify.checkpoint import Checkpoint, fingerprint, read_archive, write_archive
 from mi_simplify.config import load_config
 from mi_simplify.errors import OutputError
 from mi_simplify.fitting import Fit, Run, fit
 from mi_simplify.fitting.texels import TexelAdam
 from mi_simplify.fitting.vertices import VertexSteps
-from mi_simplify.job import run_job
+from mi_simplify.jobs.job import run_job
 from mi_simplify.progress import Progress
+from mi_simplify.record.checkpoint import Checkpoint, fingerprint, read_archive, write_archive
 from mi_simplify.scenes.reference import make_reference
 from mi_simplify.subjects import subject
 

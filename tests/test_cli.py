@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from toy import bumpy_sphere, files
 
-from mi_simplify import cli, job
+from mi_simplify import cli
 from mi_simplify.export import write_glb, write_obj
+from mi_simplify.jobs import job
 from mi_simplify.latent.model import Mesh, Model
-from mi_simplify.output import RunFolder
+from mi_simplify.record.output import RunFolder
 
 
 def tetrahedron() -> Model:

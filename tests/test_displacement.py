@@ -19,10 +19,10 @@ from mi_simplify.latent.displacement import Displaced
 from mi_simplify.latent.latent import Latent
 from mi_simplify.latent.model import Displacement, Model
 from mi_simplify.latent.tessellation import Tessellation, tessellated
+from mi_simplify.machine.upload import upload
 from mi_simplify.report.screen import Screen
 from mi_simplify.scenes.load import load_asset
 from mi_simplify.scenes.views import goniometer, look_at
-from mi_simplify.upload import upload
 
 
 def model(n=2, size=32, subdivisions=2, seed=0, amplitude=0.05) -> Model:

@@ -5,7 +5,7 @@ import importlib.util
 import numpy as np
 
 from mi_simplify import cli
-from mi_simplify.events import Events
+from mi_simplify.record.events import Events
 
 
 def read(folder):

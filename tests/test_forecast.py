@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from toy import bumpy_sphere
 
-from mi_simplify import cli, forecast, stopwatch
+from mi_simplify import cli
 from mi_simplify.config import load_config
 from mi_simplify.errors import OutputError
 from mi_simplify.fitting.fit import REFRESH_EVERY
 from mi_simplify.fitting.schedules import resolution_at
-from mi_simplify.job import run_job
+from mi_simplify.jobs import forecast
+from mi_simplify.jobs.job import run_job
 from mi_simplify.latent.model import Mesh
+from mi_simplify.record import stopwatch
 
 SMALL = [
     "initial.triangles=200", "initial.atlas_size=64", "evaluation.views=2", "evaluation.resolution=64",

@@ -9,8 +9,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mi_simplify.frozen import frozen
-from mi_simplify.upload import upload
+from mi_simplify.machine.frozen import frozen
+from mi_simplify.machine.upload import upload
 
 
 def floats(n, seed=0):

@@ -11,8 +11,8 @@ from mi_simplify.config import load_config
 from mi_simplify.display import Bar, Lines, Silent
 from mi_simplify.errors import AssetError
 from mi_simplify.frame import Frame
-from mi_simplify.interrupt import DeferredInterrupt
 from mi_simplify.progress import Progress
+from mi_simplify.record.interrupt import DeferredInterrupt
 from mi_simplify.scenes.asset import Asset, Instance, Part
 from mi_simplify.subjects.subject import reference_for
 
@@ -43,7 +43,7 @@ def test_a_missing_environment_map_is_named():
 def test_an_environment_map_lights_the_reference(tmp_path):
     import mitsuba as mi
 
-    from mi_simplify.picture import portrait_view
+    from mi_simplify.jobs.picture import portrait_view
 
     sky = np.zeros((8, 16, 3), np.float32)
     sky[..., 1] = 2.0

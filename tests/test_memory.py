@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from mi_simplify import cli, memory
+from mi_simplify import cli
 from mi_simplify.config import load_config
 from mi_simplify.errors import ConfigError, MemoryLimitError
-from mi_simplify.footprint import check_footprint, footprint
+from mi_simplify.jobs.footprint import check_footprint, footprint
+from mi_simplify.machine import memory
 from mi_simplify.scenes.asset import Asset, Instance, Part
 
 

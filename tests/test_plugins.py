@@ -8,8 +8,8 @@ from pathlib import Path
 import mitsuba as mi
 import pytest
 
-from mi_simplify import plugins, runtime
 from mi_simplify.errors import RuntimeUnavailable
+from mi_simplify.machine import plugins, runtime
 
 #: Renders a square with both plugins.
 RENDER = """
@@ -70,7 +70,7 @@ def test_classes_belong_to_the_variant_that_is_active():
     python(
         """
 import mi_simplify
-from mi_simplify import plugins
+from mi_simplify.machine import plugins
 import mitsuba as mi
 plugins.VARIANTS += ('llvm_ad_mono',)
 for variant in ('llvm_ad_rgb', 'llvm_ad_mono', 'llvm_ad_rgb'):

@@ -7,10 +7,10 @@ import pytest
 from PIL import Image
 from test_fit import textured_sphere
 
-from mi_simplify import preview
 from mi_simplify.config import load_config
 from mi_simplify.fitting import Run
-from mi_simplify.preview import SHARE, Preview
+from mi_simplify.record import preview
+from mi_simplify.record.preview import SHARE, Preview
 from mi_simplify.scenes.reference import make_reference
 
 

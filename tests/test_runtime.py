@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from mi_simplify import runtime
-from mi_simplify.diagnosis import doctor
 from mi_simplify.errors import RuntimeUnavailable
+from mi_simplify.machine import runtime
+from mi_simplify.machine.diagnosis import doctor
 
 
 def run_python(program: str, **environment: str) -> subprocess.CompletedProcess:
@@ -112,7 +112,8 @@ def test_without_a_usable_llvm_the_message_says_what_to_install(machine, monkeyp
 )
 def test_an_explicit_choice_that_cannot_render_is_refused(tmp_path, name, message):
     path = library(tmp_path, name) if name else str(tmp_path / "missing.so")
-    done = run_python("from mi_simplify.runtime import ensure_variant; ensure_variant()", DRJIT_LIBLLVM_PATH=path)
+    script = "from mi_simplify.machine.runtime import ensure_variant; ensure_variant()"
+    done = run_python(script, DRJIT_LIBLLVM_PATH=path)
     assert done.returncode == 1
     assert "jit_" not in done.stderr  # Dr.Jit was not asked
     assert done.stderr.splitlines()[-1].startswith("mi_simplify.errors.RuntimeUnavailable: ")
@@ -132,7 +133,7 @@ def test_importing_us_chooses_llvm_and_loads_nothing():
 @pytest.mark.skipif(sys.platform != "linux", reason="the wheel is for Linux")
 def test_the_wheel_of_this_environment_is_what_drjit_loads():
     done = run_python(
-        "from mi_simplify.runtime import ensure_variant\n"
+        "from mi_simplify.machine.runtime import ensure_variant\n"
         "import drjit as dr\n"
         "print(ensure_variant(), dr.detail.llvm_version()[0])"
     )
@@ -141,7 +142,7 @@ def test_the_wheel_of_this_environment_is_what_drjit_loads():
 
 
 def test_the_variant_is_the_named_one_then_the_active_one_then_the_environments():
-    program = "from mi_simplify.runtime import ensure_variant\nimport mitsuba as mi\n"
+    program = "from mi_simplify.machine.runtime import ensure_variant\nimport mitsuba as mi\n"
     assert "'scalar_rgb' is not supported; use one of llvm_ad_rgb, cuda_ad_rgb" in (
         run_python(program + "ensure_variant()", MI_SIMPLIFY_VARIANT="scalar_rgb").stderr
     )
@@ -175,7 +176,7 @@ def test_cuda_without_a_gpu_is_one_clear_error(monkeypatch):
 def test_after_import_calls_back_once_whoever_imports_first(tmp_path):
     (tmp_path / "late.py").write_text("value = 1")
     done = run_python(
-        "from mi_simplify.runtime import after_import\n"
+        "from mi_simplify.machine.runtime import after_import\n"
         "import sys\n"
         "before = len(sys.meta_path)\n"
         "after_import('late', lambda: print('called', sys.modules['late'].value))\n"
@@ -196,7 +197,7 @@ def test_doctor_runs_a_kernel_and_finds_every_requirement():
 
 
 def test_doctor_survives_a_process_that_aborts(monkeypatch):
-    import mi_simplify.diagnosis as module
+    import mi_simplify.machine.diagnosis as module
 
     program = "import os, sys; print('LLVM ERROR: Cannot select', file=sys.stderr); os.abort()"
     monkeypatch.setattr(module, "_KERNEL", program)

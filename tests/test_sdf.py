@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from mi_simplify.machine.upload import upload
 from mi_simplify.scenes import sdf
-from mi_simplify.upload import upload
 
 POINTS = np.random.default_rng(3).uniform(-1.5, 1.5, (4000, 3))
 

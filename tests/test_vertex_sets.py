@@ -14,10 +14,10 @@ from mi_simplify.fitting import Fit
 from mi_simplify.latent.latent import Latent
 from mi_simplify.latent.model import Model, VertexSets
 from mi_simplify.latent.vertex_sets import Blended, blend_weights, blended
+from mi_simplify.machine.upload import upload
 from mi_simplify.scenes.gltf_file import GltfFile
 from mi_simplify.scenes.reference import CallableReference
 from mi_simplify.scenes.views import look_at
-from mi_simplify.upload import upload
 
 SIZES = (64.0, 32.0, 16.0)
 

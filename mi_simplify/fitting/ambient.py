@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..upload import upload
+from ..machine.upload import upload
 from .adam import Adam
 
 

@@ -19,9 +19,9 @@ from ..latent.latent import Latent
 from ..latent.model import Model
 from ..latent.surface import Surface
 from ..latent.textures import Textures
+from ..machine.upload import upload
 from ..scenes.reference import OwnViews, Reference
 from ..scenes.views import Views, goniometer
-from ..upload import upload
 from .ambient import AmbientSteps
 from .follow import following
 from .laplacian import Laplacian

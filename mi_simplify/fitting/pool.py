@@ -11,9 +11,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..machine.upload import upload
 from ..scenes.reference import Reference
 from ..scenes.views import Views
-from ..upload import upload
 
 log = logging.getLogger("mi_simplify")
 

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..latent.textures import BLOCK, TexelGradient, Textures
-from ..upload import upload
+from ..machine.upload import upload
 
 
 class TexelAdam:

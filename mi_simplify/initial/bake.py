@@ -12,9 +12,9 @@ import numpy as np
 
 from ..errors import MeshError
 from ..latent.model import Mesh
-from ..runtime import ensure_variant
+from ..machine.runtime import ensure_variant
+from ..machine.upload import upload
 from ..scenes.asset import Asset
-from ..upload import upload
 from .atlas import dilate
 from .cleanup import clean, merge
 from .closest import ClosestPoints, sample_surface

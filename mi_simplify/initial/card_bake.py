@@ -8,8 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..machine.upload import upload
 from ..scenes.shapes import make_mesh
-from ..upload import upload
 from .atlas import dilate
 from .cards import Layout
 from .cleanup import Soup

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import MeshError
 from ..latent.model import Mesh, Model
-from ..runtime import ensure_variant
+from ..machine.runtime import ensure_variant
 from ..scenes.asset import Asset
 from .cleanup import Soup, merge
 from .clusters import Clusters, cluster_faces, pieces

@@ -14,7 +14,7 @@ from ..errors import MeshError
 from ..latent.mips import filtered_levels, halved
 from ..latent.model import Displacement, Mesh, Model
 from ..latent.tessellation import Tessellation, tessellated
-from ..runtime import ensure_variant
+from ..machine.runtime import ensure_variant
 from ..scenes.asset import Asset
 from .bake import bake
 from .cards import cards

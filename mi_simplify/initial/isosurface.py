@@ -8,11 +8,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import memory
+from ..machine import memory
+from ..machine.upload import upload
 from ..scenes.asset import Asset, Instance, Material, Part
 from ..scenes.implicit import Implicit
 from ..scenes.marching_cubes import marching_cubes
-from ..upload import upload
 
 #: Points whose distances are computed at once.
 _CHUNK = 1 << 22

@@ -13,8 +13,8 @@ import numpy as np
 from ..latent.model import Mesh
 from ..latent.tangents import split_mirrored, vertex_tangents
 from ..latent.topology import vertex_normals, weld
+from ..machine.upload import upload
 from ..scenes.shapes import make_mesh
-from ..upload import upload
 from .cleanup import Soup
 
 NO_FACE = 0xFFFFFFFF

@@ -11,11 +11,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import AssetError
+from ..machine.upload import upload
 from ..scenes.asset import Asset, Instance, Material, Part
 from ..scenes.captured import Captured
 from ..scenes.image_reference import squared
 from ..scenes.marching_cubes import marching_cubes
-from ..upload import upload
 
 #: Side of the masks that are projected [px].
 _MASK = 256

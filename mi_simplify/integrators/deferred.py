@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import drjit as dr
 import mitsuba as mi
 
-from ..frozen import frozen
 from ..latent.surface import MeshTopology, Surface
 from ..latent.textures import TexelGradient, Textures, TouchedBlocks
+from ..machine.frozen import frozen
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
 from .camera import Cameras, FilmRays, PixelRays

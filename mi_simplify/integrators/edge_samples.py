@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..upload import upload
+from ..machine.upload import upload
 from .camera import Cameras
 from .edges import CREASE, OPEN, EdgeTable, wound_outwards
 

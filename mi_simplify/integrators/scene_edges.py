@@ -10,9 +10,9 @@ import numpy as np
 
 from ..errors import UserError
 from ..latent.topology import weld
+from ..machine.upload import upload
 from ..scenes.shapes import POSITIONS, mesh_faces, mesh_positions
 from ..scenes.views import Views
-from ..upload import upload
 from .camera import Cameras
 from .edge_samples import AT_EDGE, EdgeSamples, EdgeSet
 from .edges import edge_table

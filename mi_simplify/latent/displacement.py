@@ -10,8 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..machine.upload import upload
 from ..scenes.views import Views
-from ..upload import upload
 from .model import Model
 from .surface import MeshTopology, Surface
 from .tessellation import Tessellation, bilinear

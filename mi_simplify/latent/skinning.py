@@ -10,9 +10,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..machine.upload import upload
 from ..scenes.rig import BIND_POSE, bone_distances, bones, normal_matrices
 from ..scenes.views import Views
-from ..upload import upload
 from .model import Model
 from .rigging import Rigging
 from .surface import MeshTopology, Surface

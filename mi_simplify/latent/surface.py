@@ -10,8 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..frozen import frozen
-from ..upload import upload
+from ..machine.frozen import frozen
+from ..machine.upload import upload
 from .model import Mesh
 from .tangents import face_tangents, split_mirrored
 

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..upload import upload
+from ..machine.upload import upload
 from .mips import filtered_levels, n_levels
 
 #: Order of the channels in memory; the last four are there only where opacity or gamma is used.

@@ -17,12 +17,12 @@ from ..latent.model import Mesh, Model
 from ..latent.surface import MeshTopology, Surface
 from ..latent.tangents import vertex_tangents
 from ..latent.textures import Textures
+from ..machine.upload import upload
 from ..scenes.asset import Asset, Part
 from ..scenes.gltf_file import GltfFile
 from ..scenes.rig import BIND_POSE, turn
 from ..scenes.shapes import part_normals
 from ..scenes.views import Views, held_out_views
-from ..upload import upload
 from .metrics import psnr
 
 LEAST_PSNR = 45.0

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import memory
 from ..errors import AssetError
+from ..machine import memory
 from .images import check_image, decode_image
 
 log = logging.getLogger("mi_simplify")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import memory
 from ..errors import AssetError
+from ..machine import memory
 
 if TYPE_CHECKING:
     from .gltf_file import GltfFile

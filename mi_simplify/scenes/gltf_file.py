@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import memory
 from ..errors import AssetError
+from ..machine import memory
 from .gltf_draco import EXTENSION as DRACO
 from .gltf_draco import draco_accessors
 from .resources import Resources, read_bytes

@@ -9,8 +9,8 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from .. import memory
 from ..errors import AssetError, MeshError
+from ..machine import memory
 from .gltf_file import GltfFile
 from .influences import STILL, make_skin, sorted_rig
 from .rig import Rig, Skin

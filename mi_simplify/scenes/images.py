@@ -14,8 +14,8 @@ from collections.abc import Iterator
 import numpy as np
 from PIL import Image
 
-from .. import memory
 from ..errors import AssetError, UserError
+from ..machine import memory
 
 #: Images with more pixels than this are refused before they are decoded.
 MAX_PIXELS = 16384**2
@@ -152,7 +152,7 @@ def _is_deep_color_png(data: bytes) -> bool:
 
 
 def _decode_with_mitsuba(data: bytes) -> np.ndarray:
-    from .. import runtime  # only a few files need it, and it sets a variant
+    from ..machine import runtime  # only a few files need it, and it sets a variant
 
     runtime.ensure_variant()
     import mitsuba as mi

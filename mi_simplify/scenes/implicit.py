@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from ..config.section import CODE_NAME
 from ..errors import AssetError
-from ..upload import upload
+from ..machine.upload import upload
 
 log = logging.getLogger("mi_simplify")
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AssetError, MemoryLimitError, UserError
-from ..runtime import ensure_variant
+from ..machine.runtime import ensure_variant
 from .asset import Asset
 from .resources import shown
 from .validate import check_asset

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..upload import upload
+from ..machine.upload import upload
 
 #: Side of the image that a procedural texture is sampled to [texels].
 PROCEDURAL = 512

@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 
 import mitsuba as mi
 
-from .. import memory
 from ..errors import AssetError
+from ..machine import memory
 from .images import check_image, require_pixels
 from .resources import Resources, is_file, read_bytes, shown
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import memory
 from ..errors import AssetError, MeshError
 from ..latent.harmonics import COUNTS
+from ..machine import memory
 from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Part
 from .gltf_file import GltfFile
 from .gltf_material import read_material

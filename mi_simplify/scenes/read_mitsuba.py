@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import AssetError
 from ..latent.topology import vertex_normals
-from ..upload import upload
+from ..machine.upload import upload
 from .asset import Asset, Instance, Material, Part
 from .mapping import Mapping
 from .marching_cubes import marching_cubes

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import memory
 from ..errors import MeshError
+from ..machine import memory
 from .asset import Asset, Instance, Material, Part
 from .images import constant, join_channels, rgb, srgb_to_linear, to_float
 from .polygons import fan, split_corners, unique_rows

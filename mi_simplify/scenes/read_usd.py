@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
 
-from .. import memory
 from ..errors import AssetError, MeshError
+from ..machine import memory
 from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Material, Part
 from .mapping import Mapping
 from .polygons import fan, smooth_normals, split_corners, unique_rows

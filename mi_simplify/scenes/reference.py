@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import AssetError, UserError
-from ..upload import upload
+from ..machine.upload import upload
 from .asset import Asset
 from .mitsuba_file import Node, SceneFile
 from .read_mitsuba import SceneAsset, is_emitting

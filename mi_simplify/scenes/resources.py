@@ -10,8 +10,8 @@ from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
-from .. import memory
 from ..errors import AssetError
+from ..machine import memory
 from .images import decode_image, require_pixels
 
 #: Environment variable that names a folder, further up than the model's own, which a model's files may lie in.

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from pxr import Ar, Sdf, Tf, Usd, UsdUtils
 
-from .. import memory
 from ..errors import AssetError, MemoryLimitError, UserError
+from ..machine import memory
 from .resources import Resources
 
 #: Characters of a message that are looked at: a damaged file of 16 KB makes 130 million.

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
 
-from .. import memory
 from ..errors import AssetError, MeshError
+from ..machine import memory
 from .influences import STILL, make_skin, sorted_rig
 from .resources import Resources
 from .rig import Rig, Skin

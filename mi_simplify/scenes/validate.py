@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import memory
 from ..errors import MeshError
+from ..machine import memory
 from .asset import FEWER_INSTANCES, Asset, Material, Part
 from .polygons import smooth_normals
 

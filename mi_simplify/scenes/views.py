@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import UserError
-from ..upload import upload
+from ..machine.upload import upload
 
 
 @dataclass

@@ -11,11 +11,11 @@ import numpy as np
 from ..config import Config
 from ..errors import AssetError
 from ..integrators.deferred import DeferredRenderer
+from ..machine.upload import upload
 from ..report.self_check import as_written, stored_tangents
 from ..scenes.asset import Asset
 from ..scenes.reference import Reference, make_reference
 from ..scenes.views import Views
-from ..upload import upload
 
 
 def fitted_light(asset: Asset, spp: int, config: Config) -> Reference:

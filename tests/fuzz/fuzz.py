@@ -37,7 +37,7 @@ from mi_simplify.config import dump, load_config  # noqa: E402
 from mi_simplify.errors import UserError  # noqa: E402
 from mi_simplify.initial.cleanup import clean, merge  # noqa: E402
 from mi_simplify.initial.decimate import decimate  # noqa: E402
-from mi_simplify.memory import limited  # noqa: E402
+from mi_simplify.machine.memory import limited  # noqa: E402
 from mi_simplify.scenes import usd_layers  # noqa: E402
 from mi_simplify.scenes.load import load_asset  # noqa: E402
 

@@ -11,8 +11,8 @@ import numpy as np
 from mi_simplify.integrators.deferred import DeferredRenderer
 from mi_simplify.latent.surface import MeshTopology
 from mi_simplify.latent.textures import Textures
+from mi_simplify.machine.upload import upload
 from mi_simplify.scenes.views import Views
-from mi_simplify.upload import upload
 
 from .scenes import Scene, State
 

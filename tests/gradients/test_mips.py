@@ -11,8 +11,8 @@ from mi_simplify.integrators.deferred import DeferredRenderer
 from mi_simplify.latent.model import Mesh
 from mi_simplify.latent.surface import MeshTopology
 from mi_simplify.latent.textures import Textures
+from mi_simplify.machine.upload import upload
 from mi_simplify.scenes.views import look_at
-from mi_simplify.upload import upload
 
 from . import scenes
 from .batched import Batched

@@ -10,10 +10,10 @@ from mi_simplify.latent.latent import Latent
 from mi_simplify.latent.model import Mesh, Model
 from mi_simplify.latent.rigging import Rigging
 from mi_simplify.latent.surface import MeshTopology
+from mi_simplify.machine.upload import upload
 from mi_simplify.scenes.rig import deform, normal_matrices, turn
 from mi_simplify.scenes.samples import sample_asset
 from mi_simplify.scenes.views import Views, look_at
-from mi_simplify.upload import upload
 
 FRAME = 6
 

@@ -12,16 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from .config.forest import Forest
-from .errors import AssetError, Defect
-from .export.files import write_atomic
-from .export.instancing import write_instanced
-from .export.textures import png, to_8bit
-from .output import RunFolder
-from .progress import Progress, ProgressCallback, silent
-from .report.metrics import flip, psnr, tonemap
-from .scenes.scatter import scatter
-from .subjects import open_asset
+from ..config.forest import Forest
+from ..errors import AssetError, Defect
+from ..export.files import write_atomic
+from ..export.instancing import write_instanced
+from ..export.textures import png, to_8bit
+from ..progress import Progress, ProgressCallback, silent
+from ..record.output import RunFolder
+from ..report.metrics import flip, psnr, tonemap
+from ..scenes.scatter import scatter
+from ..subjects import open_asset
 
 
 def render_forest(

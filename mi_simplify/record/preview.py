@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import OutputError
-from .export.files import write_atomic
-from .export.textures import png
-from .fitting import Run
-from .report.pictures import shown
+from ..errors import OutputError
+from ..export.files import write_atomic
+from ..export.textures import png
+from ..fitting import Run
+from ..report.pictures import shown
 
 log = logging.getLogger("mi_simplify")
 

@@ -10,20 +10,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ..config import Config
+from ..errors import OutputError
+from ..export import export_model
+from ..export.environment import write_environment
+from ..fitting import FitResult, Run, fit
+from ..frame import Frame
+from ..latent.model import Model
+from ..progress import Progress, ProgressCallback
+from ..scenes.reference import Reference
 from .checkpoint import Checkpoint
-from .config import Config
-from .errors import OutputError
 from .events import EVENTS, Events
-from .export import export_model
-from .export.environment import write_environment
-from .fitting import FitResult, Run, fit
-from .frame import Frame
 from .interrupt import DeferredInterrupt
-from .latent.model import Model
 from .output import RunFolder
 from .preview import PREVIEW, Preview
-from .progress import Progress, ProgressCallback
-from .scenes.reference import Reference
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from ..errors import OutputError, UserError
+from ..export.files import write_atomic
 from .checkpoint import STATE
-from .errors import OutputError, UserError
-from .export.files import write_atomic
 
 log = logging.getLogger("mi_simplify")
 

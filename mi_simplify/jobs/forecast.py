@@ -14,27 +14,27 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from . import memory
-from .config import Config
-from .errors import OutputError
-from .events import require_tensorboard
-from .export import FORMATS
-from .export.gltf import glb_bytes
-from .fitting import Run
-from .fitting.fit import REFRESH_EVERY
-from .fitting.schedules import resolution_at
+from ..config import Config
+from ..errors import OutputError
+from ..export import FORMATS
+from ..export.gltf import glb_bytes
+from ..fitting import Run
+from ..fitting.fit import REFRESH_EVERY
+from ..fitting.schedules import resolution_at
+from ..latent.model import Mesh, Model
+from ..machine import memory
+from ..machine.runtime import ensure_variant
+from ..progress import Progress, ProgressCallback, silent
+from ..record.events import require_tensorboard
+from ..record.output import RunFolder
+from ..record.preview import SHARE
+from ..record.stopwatch import Stopwatch
+from ..report.html import report_page
+from ..report.pictures import contact_sheet
+from ..scenes.asset import Asset
+from ..scenes.reference import Reference
+from ..subjects import Subject, open_subject
 from .footprint import check_footprint, footprint
-from .latent.model import Mesh, Model
-from .output import RunFolder
-from .preview import SHARE
-from .progress import Progress, ProgressCallback, silent
-from .report.html import report_page
-from .report.pictures import contact_sheet
-from .runtime import ensure_variant
-from .scenes.asset import Asset
-from .scenes.reference import Reference
-from .stopwatch import Stopwatch
-from .subjects import Subject, open_subject
 
 
 @dataclass

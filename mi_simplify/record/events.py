@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import RuntimeUnavailable
-from .export.textures import png
+from ..errors import RuntimeUnavailable
+from ..export.textures import png
 
 log = logging.getLogger("mi_simplify")
 

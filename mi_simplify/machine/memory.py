@@ -15,7 +15,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from .errors import ConfigError, MemoryLimitError
+from ..errors import ConfigError, MemoryLimitError
 
 _LIMIT: contextvars.ContextVar[int | None] = contextvars.ContextVar("memory limit", default=None)
 

@@ -9,7 +9,7 @@ import sys
 
 import mitsuba as mi
 
-from .errors import RuntimeUnavailable
+from ..errors import RuntimeUnavailable
 
 #: Modules that define a plugin class and register it on their last line.
 MODULES = ("mi_simplify.bsdfs.ggx_gamma", "mi_simplify.integrators.direct_edge")

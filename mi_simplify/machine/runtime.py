@@ -23,7 +23,7 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 
-from .errors import RuntimeUnavailable
+from ..errors import RuntimeUnavailable
 
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 OLDEST_LLVM = 16  # 15 aborts the process at the first render ("Cannot select: fminimum"), 14 does not load

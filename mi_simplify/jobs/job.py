@@ -9,28 +9,28 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from . import __version__
-from .checkpoint import Checkpoint
-from .config import Config, dump, load_config
-from .errors import Defect
-from .events import require_tensorboard
-from .export import export_model
-from .export.files import write_atomic
+from .. import __version__
+from ..config import Config, dump, load_config
+from ..errors import Defect
+from ..export import export_model
+from ..export.files import write_atomic
+from ..initial import first_guess
+from ..latent.model import Model
+from ..machine.runtime import ensure_variant
+from ..progress import Progress, ProgressCallback, silent
+from ..record.checkpoint import Checkpoint
+from ..record.events import require_tensorboard
+from ..record.interrupt import DeferredInterrupt
+from ..record.output import RunFolder
+from ..record.record import Record
+from ..record.stopwatch import Stopwatch
+from ..report.evaluate import save_comparison
+from ..report.folder import report_folder
+from ..report.self_check import LEAST_PSNR, self_check
+from ..scenes.asset import Asset
+from ..scenes.load import load_asset
+from ..subjects import Subject, open_asset, open_subject
 from .footprint import check_footprint
-from .initial import first_guess
-from .interrupt import DeferredInterrupt
-from .latent.model import Model
-from .output import RunFolder
-from .progress import Progress, ProgressCallback, silent
-from .record import Record
-from .report.evaluate import save_comparison
-from .report.folder import report_folder
-from .report.self_check import LEAST_PSNR, self_check
-from .runtime import ensure_variant
-from .scenes.asset import Asset
-from .scenes.load import load_asset
-from .stopwatch import Stopwatch
-from .subjects import Subject, open_asset, open_subject
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from . import runtime
 # A render with its gradient, as small as it gets, in a process of its own: a bad LLVM aborts it.
 _KERNEL = """
 import sys
-from mi_simplify import runtime
+from mi_simplify.machine import runtime
 runtime.ensure_variant(sys.argv[1])
 import drjit as dr, mitsuba as mi
 scene = mi.load_dict({"type": "scene", "shape": {"type": "sphere"}, "light": {"type": "point", "position": [0, 0, 3]},
@@ -65,7 +65,7 @@ def doctor(variant: str | None = None) -> list[Check]:
     Parameters
     ----------
     variant : str or None
-        The variant that the test kernel runs in; None as in :func:`mi_simplify.runtime.ensure_variant`.
+        The variant that the test kernel runs in; None as in :func:`mi_simplify.machine.runtime.ensure_variant`.
     """
     return [_python(), *_packages(), _llvm(), _cuda(), _cores(), _memory(), _kernel(variant)]
 

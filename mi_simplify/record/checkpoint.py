@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from . import __version__
-from .config import Config
-from .errors import OutputError
-from .export.files import make_folder, write_atomic
-from .latent.model import Displacement, Mesh, Model, VertexSets
-from .latent.rigging import Rigging
-from .scenes.asset import Asset
-from .scenes.rig import Rig
+from .. import __version__
+from ..config import Config
+from ..errors import OutputError
+from ..export.files import make_folder, write_atomic
+from ..latent.model import Displacement, Mesh, Model, VertexSets
+from ..latent.rigging import Rigging
+from ..scenes.asset import Asset
+from ..scenes.rig import Rig
 
 log = logging.getLogger("mi_simplify")
 

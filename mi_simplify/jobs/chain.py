@@ -14,21 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from . import __version__
-from .config import Config
-from .errors import ConfigError
-from .export.files import make_folder, write_atomic
+from .. import __version__
+from ..config import Config
+from ..errors import ConfigError
+from ..export.files import make_folder, write_atomic
+from ..latent.model import Model
+from ..machine.runtime import ensure_variant
+from ..progress import Progress, ProgressCallback, silent
+from ..record.output import RunFolder
+from ..report.metrics import flip, psnr
+from ..report.screen import Screen
+from ..report.switching import switching_size
+from ..scenes.reference import Reference
+from ..scenes.views import held_out_views
+from ..subjects import open_subject
 from .job import run_job
-from .latent.model import Model
-from .output import RunFolder
-from .progress import Progress, ProgressCallback, silent
-from .report.metrics import flip, psnr
-from .report.screen import Screen
-from .report.switching import switching_size
-from .runtime import ensure_variant
-from .scenes.reference import Reference
-from .scenes.views import held_out_views
-from .subjects import open_subject
 
 #: What is written besides a GLB of every level and ``lod.json``.
 EXTRAS = ("msft_lod", "usd")
@@ -211,7 +211,7 @@ def _film(size: float, bounds: np.ndarray, config: Config) -> int:
 
 def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray, config: Config) -> list[Level]:
     """The levels with their figures at the switching sizes."""
-    from .export.lods import coverage
+    from ..export.lods import coverage
 
     reference = open_subject(config.model_copy(update={"reference": _supersampled(config)})).reference()
     out = []
@@ -245,10 +245,10 @@ def _write_extras(out: Path, levels: Sequence[Level], bounds: np.ndarray, extras
     """One file with all levels, in the formats asked for."""
     sizes = [level.screen_size for level in levels if level.screen_size is not None]
     if "msft_lod" in extras:
-        from .export.lods import join_glb
+        from ..export.lods import join_glb
 
         join_glb([out / level.file for level in levels], sizes, out / "lods.glb")
     if "usd" in extras:
-        from .export.lods import join_usd
+        from ..export.lods import join_usd
 
         join_usd([level.file.replace(".glb", ".usdc") for level in levels], sizes, bounds, out / "lods.usda")

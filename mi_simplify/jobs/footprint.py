@@ -6,9 +6,9 @@ The bytes per texel, sample and triangle were measured: peaks of whole runs, one
 
 from __future__ import annotations
 
-from . import memory
-from .config import Config
-from .scenes.asset import Asset
+from ..config import Config
+from ..machine import memory
+from ..scenes.asset import Asset
 
 #: Python, Mitsuba, LLVM and their kernels, with a job of next to nothing.
 _BASE = 440 << 20

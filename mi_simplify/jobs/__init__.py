@@ -1,0 +1,1 @@
+"""Whole jobs, from the asset to the report, and what they will take."""
