@@ -60,11 +60,17 @@ def left() -> int | None:
     """
     Bytes that this process may still take: up to the limit, else what the machine has free; None where nobody tells.
     """
+    room = _room()
+    return None if room is None else max(room, 0)
+
+
+def _room() -> int | None:
+    """The same, below zero where the process holds more than the limit already."""
     limit, now = _LIMIT.get(), held()
     free = [n for n in (_free_in_system(), _free_in_cgroup()) if n is not None]
     if limit is not None and now is not None:
         free.append(limit - now)
-    return max(min(free), 0) if free else None
+    return min(free) if free else None
 
 
 def require(n_bytes: float, what: str, way_out: str) -> None:
@@ -74,7 +80,7 @@ def require(n_bytes: float, what: str, way_out: str) -> None:
     Parameters
     ----------
     n_bytes : float
-        Most that it will take at once [bytes].
+        Most that it will take at once [bytes]; below zero where that is held already.
     what, way_out : str
         Subject of the message, and what to do instead.
 
@@ -83,12 +89,12 @@ def require(n_bytes: float, what: str, way_out: str) -> None:
     MemoryLimitError
         It is more than is left.
     """
-    room = left()
+    room = _room()
     if room is not None and n_bytes > room:
         limit = _LIMIT.get()
         cause = "are free" if limit is None else f"are left of --memory-limit {shown_size(limit)}"
         need = f"{what} needs about {shown_size(n_bytes)} of memory"
-        raise MemoryLimitError(f"{need}, {shown_size(room)} {cause}; {way_out}")
+        raise MemoryLimitError(f"{need}, {shown_size(max(room, 0))} {cause}; {way_out}")
 
 
 def held() -> int | None:

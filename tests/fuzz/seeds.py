@@ -237,5 +237,6 @@ export: {formats: [glb, obj], checkpoint: 5.0}
 
 
 def _yaml() -> list[Seed]:
-    texts = [_EVERY_KEY.encode(), *(path.read_bytes() for path in sorted((ROOT / "scenes").glob("*.yaml")))]
+    files = [path.read_bytes() for path in sorted((ROOT / "scenes").glob("*.yaml"))]
+    texts = [_EVERY_KEY.encode(), *(text for text in files if b"\nasset:" in text)]  # others are no jobs
     return [Seed("yaml", "job.yaml", "job.yaml", {"job.yaml": text}) for text in texts]
