@@ -86,8 +86,8 @@ for variant in ('llvm_ad_rgb', 'llvm_ad_mono', 'llvm_ad_rgb'):
     [
         "import mitsuba as mi\nmi.set_variant('llvm_ad_rgb')\nimport mi_simplify",
         "import mitsuba as mi\nimport mi_simplify\nmi.set_variant('llvm_ad_rgb')",
-        "import mi_simplify\nfrom mi_simplify import runtime\nruntime.ensure_variant()\nimport mitsuba as mi",
-        "from mi_simplify import plugins\nimport mitsuba as mi\nmi.set_variant('llvm_ad_rgb')",
+        "import mi_simplify\nfrom mi_simplify.machine import runtime\nruntime.ensure_variant()\nimport mitsuba as mi",
+        "from mi_simplify.machine import plugins\nimport mitsuba as mi\nmi.set_variant('llvm_ad_rgb')",
     ],
 )
 def test_plugins_are_there_in_any_order_of_imports(first):
