@@ -224,7 +224,7 @@ def stages(fit, clock: Clock, n_steps: int) -> dict[str, float]:
     import numpy as np
 
     times: dict[str, list[float]] = {name: [] for name in STAGES}
-    owners = {"module": sys.modules[type(fit).__module__]}
+    owners = {"module": sys.modules[type(fit).__module__], "vertices": fit.shape.vertices}
 
     def timed(name: str, call):
         def wrapped(*args, **kwargs):
