@@ -18,8 +18,8 @@ MARGIN = 45  # what the view has to spare around the asset
 
 def main(folder: Path, target: Path) -> None:
     ms.ensure_variant()
-    from mi_simplify.jobs.picture import portrait_view
     from mi_simplify.report.pictures import shown
+    from mi_simplify.report.portrait import portrait_view
 
     config = ms.load_config(folder / "config.yaml")
     asset, model = ms.open_asset(config.asset), ms.load_asset(folder / "model.glb")

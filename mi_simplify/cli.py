@@ -383,14 +383,14 @@ def render(asset, out, resolution, spp, azimuth, elevation, frame, variant) -> N
     named = [] if is_config else [{"asset": asset, "reference": {"transport": "baked"}}]
     config = load_config(asset if is_config else None, named)
     _prepare(variant or config.variant)
-    from .jobs import picture
     from .record.output import check_writable
+    from .report import portrait
     from .subjects import open_subject
 
-    check_writable(picture.check_picture_path(out))
+    check_writable(portrait.check_picture_path(out))
     subject = open_subject(config)
     image = subject.picture(frame, spp=spp, resolution=resolution, azimuth=azimuth, elevation=elevation)
-    picture.save_picture(image, out)
+    portrait.save_picture(image, out)
     print(out)
 
 

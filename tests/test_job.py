@@ -43,7 +43,7 @@ def test_a_missing_environment_map_is_named():
 def test_an_environment_map_lights_the_reference(tmp_path):
     import mitsuba as mi
 
-    from mi_simplify.jobs.picture import portrait_view
+    from mi_simplify.report.portrait import portrait_view
 
     sky = np.zeros((8, 16, 3), np.float32)
     sky[..., 1] = 2.0

@@ -15,11 +15,11 @@ from ..config import SAMPLE_PREFIX, Config, code_of
 from ..errors import AssetError
 from ..frame import Frame
 from ..initial import first_guess, quadrics_only
-from ..jobs.picture import in_frame, portrait_view, render_picture
 from ..latent.harmonics import constant_environment, environment_coefficients
 from ..latent.model import Model, VertexSets
 from ..progress import ProgressCallback
 from ..report.evaluate import Comparison, Rendering, compare_assets, compare_renderings
+from ..report.portrait import in_frame, portrait_view, render_picture
 from ..scenes.asset import Asset
 from ..scenes.images import decode_image
 from ..scenes.load import load_asset
@@ -170,7 +170,7 @@ class Subject:
         spp : int
             Samples per pixel.
         view
-            As in :func:`mi_simplify.jobs.picture.portrait_view`.
+            As in :func:`mi_simplify.report.portrait.portrait_view`.
         """
         reference = self.config.reference
         if self.config.evaluation.light == "fitted":

@@ -13,10 +13,10 @@ import numpy as np
 from ..errors import AssetError, OutputError
 from ..export.files import write_atomic
 from ..export.textures import png
-from ..report.pictures import shown
 from ..scenes.asset import Asset
 from ..scenes.reference import make_reference
 from ..scenes.views import Views, look_at
+from .pictures import shown
 
 SUFFIXES = (".png", ".exr")
 
