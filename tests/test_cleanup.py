@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from mi_simplify.errors import MeshError
-from mi_simplify.initial.cleanup import clean, edge_pairs, merge, split_nonmanifold, winding_flips
+from mi_simplify.initial.cleanup import clean
+from mi_simplify.initial.manifold import edge_pairs, split_nonmanifold, winding_flips
+from mi_simplify.initial.soup import merge
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 

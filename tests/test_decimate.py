@@ -6,9 +6,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from mi_simplify.errors import MeshError
-from mi_simplify.initial.cleanup import clean, edge_pairs, merge
+from mi_simplify.initial.cleanup import clean
 from mi_simplify.initial.closest import ClosestPoints
 from mi_simplify.initial.decimate import decimate
+from mi_simplify.initial.manifold import edge_pairs
+from mi_simplify.initial.soup import merge
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.latent.topology import weld
 from mi_simplify.scenes.samples import sample_asset

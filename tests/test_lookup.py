@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mi_simplify.initial.cleanup import merge
+from mi_simplify.initial.soup import merge
 from mi_simplify.latent.model import Mesh
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from damage import damaged
 
-from mi_simplify.initial.cleanup import clean, edge_pairs, merge
+from mi_simplify.initial.cleanup import clean
 from mi_simplify.initial.closest import ClosestPoints
 from mi_simplify.initial.decimate import decimate
 from mi_simplify.initial.guess import first_guess
+from mi_simplify.initial.manifold import edge_pairs
 from mi_simplify.initial.repair import repair
+from mi_simplify.initial.soup import merge
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.latent.model import Mesh, Model
 from mi_simplify.latent.topology import vertex_normals

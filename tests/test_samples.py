@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mi_simplify.errors import AssetError
-from mi_simplify.initial.cleanup import clean, merge
+from mi_simplify.initial.cleanup import clean
+from mi_simplify.initial.soup import merge
 from mi_simplify.scenes.samples import sample_asset, sample_names
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mi_simplify.errors import MeshError
-from mi_simplify.initial.cleanup import edge_pairs
+from mi_simplify.initial.manifold import edge_pairs
 from mi_simplify.initial.sphere import sphere
 
 

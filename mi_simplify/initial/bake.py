@@ -16,8 +16,9 @@ from ..machine.runtime import ensure_variant
 from ..machine.upload import upload
 from ..scenes.asset import Asset
 from .atlas import dilate
-from .cleanup import clean, merge
+from .cleanup import clean
 from .closest import ClosestPoints, sample_surface
+from .soup import merge
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from ..machine.upload import upload
 from ..scenes.shapes import make_mesh
 from .atlas import dilate
 from .cards import Layout
-from .cleanup import Soup
 from .clusters import Clusters
 from .lookup import Detail, Hits, Points
+from .soup import Soup
 
 #: Surfaces that a ray goes through at most, where they are transparent.
 _LAYERS = 8

@@ -12,9 +12,9 @@ from ..errors import MeshError
 from ..latent.model import Mesh, Model
 from ..machine.runtime import ensure_variant
 from ..scenes.asset import Asset
-from .cleanup import Soup, merge
 from .clusters import Clusters, cluster_faces, pieces
 from .crossing import crossing_cards
+from .soup import Soup, merge
 
 #: How far a quad reaches beyond what it shows, and from there to the next card [texels].
 _MARGIN, _GAP = 0.5, 0.5

@@ -18,10 +18,11 @@ from ..machine.runtime import ensure_variant
 from ..scenes.asset import Asset
 from .bake import bake
 from .cards import cards
-from .cleanup import clean, merge
+from .cleanup import clean
 from .closest import ClosestPoints
 from .decimate import decimate
 from .kept import keep_mesh
+from .soup import merge
 from .sphere import sphere
 from .unwrap import unwrap
 

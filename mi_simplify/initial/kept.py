@@ -16,9 +16,10 @@ from ..latent.tangents import split_mirrored
 from ..latent.topology import normal_groups
 from ..scenes.asset import Asset
 from .atlas import overlap_fraction
-from .cleanup import Soup, clean, merge
+from .cleanup import clean
 from .closest import ClosestPoints
 from .repair import repair
+from .soup import Soup, merge
 from .unwrap import check, unwrap
 
 

@@ -15,7 +15,7 @@ from ..latent.tangents import split_mirrored, vertex_tangents
 from ..latent.topology import vertex_normals, weld
 from ..machine.upload import upload
 from ..scenes.shapes import make_mesh
-from .cleanup import Soup
+from .soup import Soup
 
 NO_FACE = 0xFFFFFFFF
 _LOWEST = 0.05

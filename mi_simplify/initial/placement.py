@@ -11,8 +11,8 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array, identity, kron
 from scipy.sparse.linalg import spsolve
 
-from .cleanup import edge_pairs
 from .closest import ClosestPoints, closest_barycentric, sample_surface
+from .manifold import edge_pairs
 
 _STEPS = 4
 _SAMPLES = 25_000

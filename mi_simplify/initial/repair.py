@@ -13,8 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
-from .cleanup import edge_pairs
 from .closest import ClosestPoints, sample_surface
+from .manifold import edge_pairs
 from .placement import settle
 
 _TURNED = 0.3

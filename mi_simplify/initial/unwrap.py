@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 from ..errors import MeshError
 from ..latent.model import Mesh
 from ..latent.topology import normal_groups, vertex_normals
-from .cleanup import edge_pairs
+from .manifold import edge_pairs
 
 _ATTEMPTS = (3, 10)
 """Fewest and most packings that are tried; about 12,000 triangles are unwrapped in all."""

@@ -35,8 +35,9 @@ from seeds import Seed, seeds  # noqa: E402
 
 from mi_simplify.config import dump, load_config  # noqa: E402
 from mi_simplify.errors import UserError  # noqa: E402
-from mi_simplify.initial.cleanup import clean, merge  # noqa: E402
+from mi_simplify.initial.cleanup import clean  # noqa: E402
 from mi_simplify.initial.decimate import decimate  # noqa: E402
+from mi_simplify.initial.soup import merge  # noqa: E402
 from mi_simplify.machine.memory import limited  # noqa: E402
 from mi_simplify.scenes import usd_layers  # noqa: E402
 from mi_simplify.scenes.load import load_asset  # noqa: E402
