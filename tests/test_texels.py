@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mi_simplify.fitting.texels import TexelAdam
-from mi_simplify.latent.textures import BLOCK, TexelGradient, Textures
+from mi_simplify.latent.texel_gradient import BLOCK, TexelGradient
+from mi_simplify.latent.textures import Textures
 
 RATES = dict(base_color=0.01, roughness=0.02, metallic=0.005, normal=0.03, opacity=0.015, gamma=0.025)
 CHANNEL_RATES = np.array([0.01] * 3 + [0.02, 0.005] + [0.03] * 3 + [0.015, 0.025, 0, 0])

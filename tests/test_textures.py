@@ -5,7 +5,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mi_simplify.latent.textures import BLOCK, TexelGradient, Textures, TouchedBlocks
+from mi_simplify.latent.texel_gradient import BLOCK, TexelGradient, TouchedBlocks
+from mi_simplify.latent.textures import Textures
 
 
 def images(height, width, seed=0):
@@ -215,7 +216,7 @@ def test_gradient_of_levels_is_the_transposed_lookup(mips):
     g = rng.normal(size=(12, n)).astype(np.float32)
     grad = TexelGradient.collect(textures, footprint, TouchedBlocks.of(textures, flags), mi.ArrayXf(g))
     value = textures.lookup(footprint).numpy()
-    folded = textures.folded(grad).spread_out(textures).numpy()
+    folded = grad.by_parameters(textures).spread_out(textures).numpy()
     assert np.sum(value * g) == pytest.approx(np.sum(folded * textures.data.numpy()), rel=1e-3)
     beyond = textures.offsets.numpy()[1] * 12
     assert folded[beyond:].any() == (mips == "custom")

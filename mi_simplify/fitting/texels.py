@@ -10,7 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..latent.textures import BLOCK, TexelGradient, Textures
+from ..latent.texel_gradient import BLOCK, TexelGradient
+from ..latent.textures import Textures
 from ..machine.upload import upload
 
 
@@ -54,7 +55,7 @@ class TexelAdam:
             Of all rates.
         """
         textures, n = self.textures, self.textures.n_channels
-        grad = textures.folded(grad)
+        grad = grad.by_parameters(textures)
         load = lambda buffer, i: dr.gather(mi.ArrayXf, buffer, i, shape=(n, dr.width(i)))  # noqa: E731
         lane = dr.arange(mi.UInt32, dr.width(grad.blocks) * BLOCK)
         lane = dr.compress(dr.any(load(grad.values, lane) != 0))  # half of them, or fewer

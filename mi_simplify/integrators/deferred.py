@@ -16,7 +16,8 @@ import drjit as dr
 import mitsuba as mi
 
 from ..latent.surface import MeshTopology, Surface
-from ..latent.textures import TexelGradient, Textures, TouchedBlocks
+from ..latent.texel_gradient import TexelGradient, TouchedBlocks
+from ..latent.textures import Textures
 from ..machine.frozen import frozen
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views

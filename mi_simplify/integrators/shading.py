@@ -12,7 +12,8 @@ import mitsuba as mi
 from ..bsdfs import microfacet
 from ..latent.ambient import ambient_radiance
 from ..latent.surface import Surface
-from ..latent.textures import Footprint, Texels, Textures
+from ..latent.texel_gradient import Footprint
+from ..latent.textures import Texels, Textures
 from .gbuffer import Fragment, Hits, fragment
 
 #: Least cosine that a pixel's footprint is stretched by: what is seen more edge-on is filtered as if it were at this.

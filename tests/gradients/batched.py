@@ -102,7 +102,7 @@ class Batched:
         n = self.scene.n_texels
         packed = np.zeros((n, n, 12))
         if texels is not None:
-            packed = textures.folded(texels).dense(textures).numpy().reshape(n, n, -1)
+            packed = texels.by_parameters(textures).dense(textures).numpy().reshape(n, n, -1)
         for name, (low, high) in _CHANNELS.items():
             if name in attach:
                 out[name] = packed[..., low:high]

@@ -48,7 +48,7 @@ def test_every_custom_level_has_its_own_gradient():
     frame = batched.renderer.render(surface, textures, views, spp=16, seed=seed)
     grad = upload(mi.Vector4f, adjoint.reshape(-1, 4))
     texels = batched.renderer.backward(frame, grad, surface, textures, mi.Float(0), seed)
-    gradient = textures.folded(texels).spread_out(textures).numpy().astype(np.float64)
+    gradient = texels.by_parameters(textures).spread_out(textures).numpy().astype(np.float64)
     data, rng = textures.data.numpy().copy(), np.random.default_rng(0)
     places = np.concatenate([np.full(dr.width(textures.places(k)), k) for k in range(textures.n_levels)])
     order = np.concatenate([textures.places(k).numpy() for k in range(textures.n_levels)])
