@@ -2,8 +2,7 @@
 The batched renderer of the fitting loop: B views of a latent surface in a few kernels, with exact gradients.
 
 Interior derivatives come from automatic differentiation of the deferred shading, those of visibility from samples on
-the edges across which the image jumps: two ordinary camera rays a tiny step to either side, and the difference of
-what they see.
+the edges across which the image jumps, see :mod:`.boundary`.
 
 Rays are traced here; what is done with their hits is in functions that are traced by Dr.Jit only once.
 """
@@ -21,15 +20,11 @@ from ..latent.textures import Textures
 from ..machine.frozen import frozen
 from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
+from .boundary import Boundary, backward_from
 from .camera import Cameras, FilmRays, PixelRays
-from .edge_samples import EdgeRays, EdgeSet
-from .edges import edge_table
-from .gbuffer import MISS, Hits, fragment, occluded, trace
-from .layers import WIDTH, composite, composite_adjoint, composite_tangent, layered_hits, peel
-from .shading import shade_hits
-
-#: What is traced: samples of a film, one ray a pixel, or those beside edges.
-Rays = FilmRays | PixelRays | EdgeRays
+from .gbuffer import MISS, Hits, kept_hits, one_a_pixel, trace, with_light
+from .layers import composite, composite_adjoint, composite_tangent, layered_hits, peel
+from .shading import hit_values, shade_hits
 
 
 @dataclass
@@ -100,12 +95,11 @@ class DeferredRenderer:
     ):
         if layers > 1 and shade == "pixel":
             raise ValueError("with several layers every sample is shaded")
-        mesh, self.shade = topology.mesh, shade
-        self.topology, self.form, self.edge_fraction, self.shadows = topology, form, edge_fraction, shadows
-        self.layers = layers
-        self.tracer = MovingMesh(mesh.positions, mesh.position_faces)
-        table = edge_table(mesh.position_faces, mesh.faces)
-        self.edges = EdgeSet(table, mesh.position_faces, positions=mesh.positions, opaque=layers == 1)
+        self.topology, self.form, self.shadows, self.shade, self.layers = topology, form, shadows, shade, layers
+        self.tracer = MovingMesh(topology.mesh.positions, topology.mesh.position_faces)
+        self.boundary = Boundary(
+            topology, self.tracer, form=form, edge_fraction=edge_fraction, shadows=shadows, layers=layers
+        )
 
     def move(self, positions: mi.Float) -> None:
         """
@@ -135,25 +129,27 @@ class DeferredRenderer:
         cameras = Cameras.of(views)
         detached = replace(cameras, packets=dr.detach(cameras.packets))
         rays = PixelRays.centred(detached) if self.shade == "centre" else FilmRays(detached, spp, seed)
-        surface = _detached(surface)
+        surface = surface.detached()
         _, origin, direction = rays.at(dr.arange(mi.UInt32, len(rays)))
         values = beyond = None
         if self.layers == 1:
             face, _ = trace(self.tracer.scene, origin, direction)
             if self.shade == "pixel":
-                rays, face = _one_a_pixel(rays, face)
-            hits = self._hits(surface, rays, face, face != MISS)
+                rays, face = one_a_pixel(rays, face)
+            hits = kept_hits(face, face != MISS)
         else:
             face, beyond, _ = peel(self.tracer.scene, surface, textures, origin, direction, self.layers)
             beyond *= rays.weight(dr.arange(mi.UInt32, len(rays)))
             dr.eval(face, beyond)
-            hits = self._with_light(surface, rays, layered_hits(face, self.layers))
+            hits = layered_hits(face, self.layers)
         if hits is None:
             return Frame(dr.zeros(mi.Vector4f, detached.n_pixels), cameras.packets, rays)
+        if self.shadows:
+            hits = with_light(self.tracer.scene, surface, rays, hits)
         if self.layers == 1:
             image, flags = _image(surface, textures, rays, hits, self.form, _gradients_wanted())
         else:
-            values, flags = _values(surface, textures, rays, hits, self.form, _gradients_wanted())
+            values, flags = hit_values(surface, textures, rays, hits, self.form, _gradients_wanted())
             image, ray = dr.zeros(mi.Float, detached.n_pixels * 4), hits.front_ray
             whole = composite(values, hits) * rays.weight(ray)
             dr.scatter_reduce(dr.ReduceOp.Add, image, whole, rays.pixel(ray), mode=dr.ReduceMode.Local)
@@ -199,18 +195,18 @@ class DeferredRenderer:
                 by_value = composite_adjoint(frame.values, frame.hits, of_ray)
                 dr.eval(by_value)
             values, by_surface, share = _interior(
-                _detached(surface), textures, frame.rays, frame.hits, frame.touched, self.form, grad, by_value,
+                surface.detached(), textures, frame.rays, frame.hits, frame.touched, self.form, grad, by_value,
                 views_move,
             )  # fmt: skip
             texels, by_views = TexelGradient(frame.touched.blocks, values), by_views + share
             if dr.grad_enabled(surface.packets):
-                _traverse(surface.packets, by_surface)
-        by_positions, share = self._boundary(frame, grad, surface, textures, positions, seed)
+                backward_from(surface.packets, by_surface)
+        by_positions, share = self.boundary.backward(frame, grad, surface, textures, positions, seed)
         if dr.grad_enabled(positions):
             dr.accum_grad(positions, by_positions)
         by_views += share
         if views_move:
-            _traverse(frame.views, by_views)
+            backward_from(frame.views, by_views)
         return texels
 
     def forward(
@@ -235,7 +231,7 @@ class DeferredRenderer:
         mi.Vector4f, width B·height·width
         """
         rays, tangent = frame.rays, dr.grad(positions)
-        moving, cameras = _detached(surface), replace(rays.cameras, packets=dr.detach(rays.cameras.packets))
+        moving, cameras = surface.detached(), replace(rays.cameras, packets=dr.detach(rays.cameras.packets))
         for source, leaf in ((surface.packets, moving.packets), (frame.views, cameras.packets)):
             dr.enable_grad(leaf)
             dr.set_grad(leaf, dr.forward_to(source) if dr.grad_enabled(source) else 0)
@@ -253,90 +249,10 @@ class DeferredRenderer:
             if frame.values is not None:
                 rate, ray = composite_tangent(frame.values, frame.hits, rate), frame.hits.front_ray
             dr.scatter_reduce(dr.ReduceOp.Add, image, rate * rays.weight(ray), rays.pixel(ray))
-        edges = self._edge_hits(frame, surface, textures, positions, seed)
-        if edges is not None:
-            with dr.suspend_grad():
-                jump, pixel = _jumps(edges[0], self._sides(surface, textures, *edges))
-            leaf = mi.Float(dr.detach(positions))
-            for array, value in ((leaf, tangent), (cameras.packets, rates)):
-                dr.enable_grad(array)
-                dr.set_grad(array, value)
-            speed = dr.forward_to(edges[0].samples.motion(cameras, leaf))
-            dr.scatter_reduce(dr.ReduceOp.Add, image, jump * speed, pixel)
+        jumps = self.boundary.forward(frame, surface, textures, positions, seed, tangent, rates)
+        if jumps is not None:
+            dr.scatter_reduce(dr.ReduceOp.Add, image, *jumps)
         return _pixels(image, cameras)
-
-    def _boundary(self, frame: Frame, grad: mi.Float, surface: Surface, textures: Textures, positions: mi.Float, seed):
-        """
-        Derivatives by positions and by the views' packets: the part of moving edges.
-        """
-        edges = self._edge_hits(frame, surface, textures, positions, seed)
-        if edges is None:
-            return 0.0, 0.0
-        views_move, detached = dr.grad_enabled(frame.views), dr.detach(positions)
-        if self.layers > 1:
-            return _of_jumps(edges[0], self._sides(surface, textures, *edges), grad, detached, views_move)
-        return _boundary(_detached(surface), textures, *edges, self.form, grad, detached, views_move)
-
-    def _sides(self, surface: Surface, textures: Textures, rays: EdgeRays, hits: Hits) -> mi.Float:
-        """
-        What the rays beside all edge samples see, flat, evaluated.
-        """
-        if self.layers == 1:
-            sides = _sides(_detached(surface), textures, rays, hits, self.form)
-        else:
-            values, _ = _values(_detached(surface), textures, rays, hits, self.form, False)
-            sides = dr.zeros(mi.Float, 8 * dr.width(rays.samples.view))
-            dr.scatter(sides, composite(values, hits), hits.front_ray)
-        dr.eval(sides)
-        return sides
-
-    def _edge_hits(
-        self, frame: Frame, surface: Surface, textures: Textures, positions: mi.Float, seed
-    ) -> tuple[EdgeRays, Hits] | None:
-        """
-        Rays to either side of samples on edges that are in view and move, and what they hit; None where there are none.
-        """
-        if self.edge_fraction == 0 or not (dr.grad_enabled(frame.views) or dr.grad_enabled(positions)):
-            return None
-        cameras = frame.rays.cameras
-        n = max(64, int(len(frame.rays) * self.edge_fraction))
-        samples = _edge_samples(self.edges, dr.detach(positions), cameras, n, seed, dr.ravel(frame.image))
-        rays, lane = EdgeRays(cameras, samples, 1.0 if self.layers == 1 else WIDTH), dr.arange(mi.UInt32, 2 * n)
-        surface = _detached(surface)
-        _, origin, direction = rays.at(lane)
-        if self.layers == 1:
-            face, t = trace(self.tracer.scene, origin, direction)
-            seen = (face != MISS) & rays.seen(lane, face, self.edges, direction, t)
-        else:
-            at_edge = lambda face, t: rays.seen(lane, face, self.edges, direction, t)  # noqa: E731
-            face, _, seen = peel(self.tracer.scene, surface, textures, origin, direction, self.layers, at_edge)
-        dr.eval(face, seen)
-        shown = samples.shows(*(dr.gather(mi.Bool, seen, dr.arange(mi.UInt32, n) * 2 + k) for k in (0, 1)))
-        keep = dr.gather(mi.Bool, shown, lane // 2)
-        if self.layers == 1:
-            hits = self._hits(surface, rays, face, (face != MISS) & keep)
-        else:
-            hits = self._with_light(surface, rays, layered_hits(face, self.layers, keep))
-        return None if hits is None else (rays, hits)
-
-    def _hits(self, surface: Surface, rays: Rays, face: mi.UInt32, keep: mi.Bool) -> Hits | None:
-        """
-        Those of all rays that are kept; reads back how many.
-        """
-        dr.eval(face, keep)
-        ray = dr.compress(keep)
-        return self._with_light(surface, rays, Hits(ray, face, None) if dr.width(ray) else None)
-
-    def _with_light(self, surface: Surface, rays: Rays, hits: Hits | None) -> Hits | None:
-        """
-        The same hits, knowing whether the light reaches them where that is asked for.
-        """
-        if hits is None or not self.shadows:
-            return hits
-        view, origin, direction = rays.at(hits.ray)
-        hit = fragment(surface, dr.gather(mi.UInt32, hits.face, hits.slot), origin, direction)
-        lit = ~occluded(self.tracer.scene, hit, mi.Point3f(rays.cameras.fetch(view, 4).xyz))
-        return replace(hits, lit=lit)
 
 
 @frozen("hits")
@@ -354,24 +270,6 @@ def _image(surface, textures, rays, hits, form, touch):
     return image, TouchedBlocks.flags(textures, footprint) if touch else None
 
 
-@frozen()
-def _one_a_pixel(rays, face):
-    """
-    Of the samples of every pixel one that hit, and its face.
-    """
-    rays, chosen = PixelRays.through_visible(rays, face != MISS)
-    return rays, dr.select(rays.coverage > 0, dr.gather(mi.UInt32, face, chosen), MISS)
-
-
-@frozen("hits")
-def _values(surface, textures, rays, hits, form, touch):
-    """
-    Premultiplied radiance and coverage of every hit, and a flag for every block of texels that they show.
-    """
-    value, footprint = shade_hits(surface, textures, rays, hits, form)
-    return value, TouchedBlocks.flags(textures, footprint) if touch else None
-
-
 @frozen("hits", "touched", "by_value")
 def _interior(surface, textures, rays, hits, touched, form, grad, by_value, views_move):
     """
@@ -387,64 +285,9 @@ def _interior(surface, textures, rays, hits, touched, form, grad, by_value, view
     value, footprint = shade_hits(replace(surface, packets=packets), textures, rays, hits, form, offset)
     if by_value is None:
         by_value = dr.gather(mi.Vector4f, grad, rays.pixel(hits.ray)) * rays.weight(hits.ray)
-    _traverse(value, by_value)
+    backward_from(value, by_value)
     texels = TexelGradient.collect(textures, footprint, touched, dr.grad(offset))
     return texels.values, dr.grad(packets), dr.grad(views) if views_move else 0.0
-
-
-@frozen()
-def _edge_samples(edges, positions, cameras, n, seed, image):
-    return edges.sample(positions, cameras, n, seed, image)
-
-
-def _sides(surface, textures, rays, hits, form) -> mi.Float:
-    """
-    What the rays beside all edge samples see, flat.
-    """
-    sides = dr.zeros(mi.Float, 8 * dr.width(rays.samples.view))
-    dr.scatter(sides, shade_hits(surface, textures, rays, hits, form)[0], hits.ray)
-    return sides
-
-
-def _jumps(rays: EdgeRays, sides: mi.Float) -> tuple[mi.Vector4f, mi.UInt32]:
-    """
-    What a pixel gains where an edge moves by one pixel along its normal, and which pixel that is, for every sample.
-    """
-    e = rays.samples
-    low = dr.arange(mi.UInt32, dr.width(e.view)) * 2
-    jump = dr.gather(mi.Vector4f, sides, low) - dr.gather(mi.Vector4f, sides, low + 1)
-    return jump * e.weight, rays.cameras.pixel(e.view, e.x, e.y)
-
-
-@frozen("hits")
-def _boundary(surface, textures, rays, hits, form, grad, positions, views_move):
-    """
-    Derivatives by positions and by the views' packets.
-    """
-    return _carried(rays, _sides(surface, textures, rays, hits, form), grad, positions, views_move)
-
-
-@frozen()
-def _of_jumps(rays, sides, grad, positions, views_move):
-    """
-    The same from what is seen beside the edges.
-    """
-    return _carried(rays, sides, grad, positions, views_move)
-
-
-def _carried(rays, sides, grad, positions, views_move):
-    jump, pixel = _jumps(rays, sides)
-    positions, views = mi.Float(positions), mi.Float(rays.cameras.packets)
-    dr.enable_grad(positions)
-    if views_move:
-        dr.enable_grad(views)
-    motion = rays.samples.motion(replace(rays.cameras, packets=views), positions)
-    _traverse(motion, dr.dot(jump, dr.gather(mi.Vector4f, grad, pixel)))
-    return dr.grad(positions), dr.grad(views) if views_move else 0.0
-
-
-def _detached(surface: Surface) -> Surface:
-    return replace(surface, packets=dr.detach(surface.packets))
 
 
 def _pixels(image: mi.Float, cameras: Cameras) -> mi.Vector4f:
@@ -456,9 +299,3 @@ def _gradients_wanted() -> bool:
     probe = mi.Float(0)
     dr.enable_grad(probe)
     return dr.grad_enabled(probe)
-
-
-def _traverse(array, grad) -> None:
-    dr.set_grad(array, grad)
-    dr.enqueue(dr.ADMode.Backward, array)
-    dr.traverse(dr.ADMode.Backward)

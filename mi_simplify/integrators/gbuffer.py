@@ -6,12 +6,18 @@ This is the paper's deferred shading (Sect. 5.2) on a ray tracer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 
 from ..latent.surface import Surface
+from ..machine.frozen import frozen
+from .camera import FilmRays, PixelRays
+
+if TYPE_CHECKING:
+    from .edge_samples import EdgeRays
 
 #: Face index of a ray that hit nothing.
 MISS = 0xFFFFFFFF
@@ -150,6 +156,33 @@ def occluded(scene: mi.Scene, hit: Fragment, light: mi.Point3f) -> mi.Bool:
     n = dr.detach(hit.geometric_normal)
     offset = dr.mulsign(n, dr.dot(n, d)) * ((1 + dr.max(dr.abs(p))) * RAY_EPSILON)
     return scene.ray_test(mi.Ray3f(p + offset, d, distance * (1 - SHADOW_EPSILON), 0.0, []), active=hit.active)
+
+
+def kept_hits(face: mi.UInt32, keep: mi.Bool) -> Hits | None:
+    """
+    Those of all rays that are kept, of the face that each met; reads back how many, None where there are none.
+    """
+    dr.eval(face, keep)
+    ray = dr.compress(keep)
+    return Hits(ray, face, None) if dr.width(ray) else None
+
+
+@frozen()
+def one_a_pixel(rays, face):
+    """
+    Of the samples of every pixel, FilmRays, one that hit, as PixelRays, and its face.
+    """
+    rays, chosen = PixelRays.through_visible(rays, face != MISS)
+    return rays, dr.select(rays.coverage > 0, dr.gather(mi.UInt32, face, chosen), MISS)
+
+
+def with_light(scene: mi.Scene, surface: Surface, rays: FilmRays | PixelRays | EdgeRays, hits: Hits) -> Hits:
+    """
+    The same hits, knowing whether the light of their view reaches them.
+    """
+    view, origin, direction = rays.at(hits.ray)
+    hit = fragment(surface, dr.gather(mi.UInt32, hits.face, hits.slot), origin, direction)
+    return replace(hits, lit=~occluded(scene, hit, mi.Point3f(rays.cameras.fetch(view, 4).xyz)))
 
 
 RAY_EPSILON = 1e-4 * 0.9

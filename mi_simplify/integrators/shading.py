@@ -12,8 +12,9 @@ import mitsuba as mi
 from ..bsdfs import microfacet
 from ..latent.ambient import ambient_radiance
 from ..latent.surface import Surface
-from ..latent.texel_gradient import Footprint
+from ..latent.texel_gradient import Footprint, TouchedBlocks
 from ..latent.textures import Texels, Textures
+from ..machine.frozen import frozen
 from .gbuffer import Fragment, Hits, fragment
 
 #: Least cosine that a pixel's footprint is stretched by: what is seen more edge-on is filtered as if it were at this.
@@ -117,3 +118,13 @@ def shade_hits(
         intensity = dr.select(hits.lit, intensity, 0)
     ambient = rays.cameras.ambient(view)
     return shade(hit, texels, direction, light, intensity, form, ambient), footprint
+
+
+@frozen("hits")
+def hit_values(surface, textures, rays, hits, form, touch):
+    """
+    Premultiplied radiance and coverage of every hit, width N, and where ``touch`` asks for it a flag for every block of
+    texels that they show.
+    """
+    value, footprint = shade_hits(surface, textures, rays, hits, form)
+    return value, TouchedBlocks.flags(textures, footprint) if touch else None

@@ -33,6 +33,12 @@ class Surface:
     packets: mi.Float
     faces: mi.UInt32
 
+    def detached(self) -> Surface:
+        """
+        The same, without gradients.
+        """
+        return Surface(dr.detach(self.packets), self.faces)
+
 
 class MeshTopology:
     """
