@@ -4,6 +4,7 @@ Prefiltering, mip levels, displacement and chains of levels, measured; each tabl
     python benchmarks/detail.py prefilter ASSET --size 64 --metal 0.4   # one sample a pixel against many; flicker
     python benchmarks/detail.py mips ASSET                              # derived against custom at 32², 64², 128²
     python benchmarks/detail.py displacement ASSET                      # a base of 1,000 triangles, split to 64,000
+    python benchmarks/detail.py tessellations ASSET                     # one model for 4, 16 and 64 times the triangles
     python benchmarks/detail.py chain ASSET                             # mi-simplify lod, as lod.json has it
 
 Without path tracing: direct light, images of the fit's kind from views that it never saw. Displacement alone is judged
@@ -67,6 +68,27 @@ class Judge:
         reference.sampler = {"type": "stratified", "jitter": anywhere}
         return reference.render(self.views, 6)
 
+    def best(self, fine: int = 8) -> np.ndarray:
+        """
+        What one sample a pixel can show at best: the truth but for pixels in which an outline lies, of the asset or of
+        a part before another; those show what lies in their middle.
+        """
+        from mi_simplify.scenes.reference import MitsubaReference, make_reference
+
+        reference = make_reference(self.asset, spp=1)
+        assert isinstance(reference, MitsubaReference)
+        reference.integrator, reference.sampler = {"type": "depth"}, {"type": "stratified", "jitter": False}
+        out, views = self.once(), self.views
+        height, width = views.height, views.width
+        step = 2 * 3.5 * np.tan(np.radians(views.fov / 2)) / (width * fine)
+        for k in range(len(views)):
+            large = views.take(np.array([k])).resized(width * fine, height * fine)
+            depth = reference.render(large)[0, ..., 0].reshape(height, fine, width, fine)
+            jumps = [np.abs(np.diff(depth, axis=axis)).max(axis=(1, 3)) for axis in (1, 3)]
+            whole = np.maximum(*jumps) < 6 * step[k]
+            out[k][whole] = self.truth[k][whole]
+        return out
+
     def strict(self, model, mips: str | None = None) -> np.ndarray:
         """A model with one sample in the middle of each pixel."""
         from mi_simplify.report.screen import Screen
@@ -112,6 +134,7 @@ def prefilter(args) -> None:
     shown = {
         "the asset itself": (judge.once(), path.once()),
         "the asset, anywhere in the pixel": (judge.once(True), path.once(True)),
+        "the best that shows outlines": (judge.best(), path.best()),
         "fitted plainly, without mip levels": tuple(j.strict(unfiltered, "none") for j in (judge, path)),
         f"fitted for {large}²": (judge.strict(other), path.strict(other)),
         f"start for {size}²": (judge.strict(guess), path.strict(guess)),
@@ -170,6 +193,27 @@ def displacement(args) -> None:
     save(args, "displacement", [comparison.reference, *comparison.candidates.values()], 3)
 
 
+def tessellations(args) -> None:
+    """One displaced model for three tessellations at once, beside models that are fitted for one alone."""
+    from mi_simplify.report.evaluate import compare_assets
+
+    common = [f"asset={args.asset}", f"optimizer.steps={args.steps}", "initial.triangles=1000"]
+    common += ["initial.atlas_size=1024", *args.set]
+    together = fitted([*common, "initial.subdivisions=3", "initial.tessellations=[1,2,3]"])[1]
+    subject, candidates = opened(common, None), {}
+    for n in (1, 2, 3):
+        alone = fitted([*common, f"initial.subdivisions={n}"])[1]
+        shown = replace(together, displacement=replace(together.displacement, subdivisions=n, fitted=()))
+        candidates[f"{4**n} times, alone"] = alone.as_asset()
+        candidates[f"{4**n} times, with the others"] = shown.as_asset()
+    target = subject.frame.normalised(subject.geometry)
+    comparison = compare_assets(target, candidates, n_views=args.views, resolution=256, spp=32)
+    print("| | triangles | PSNR [dB] | FLIP | silhouette error |\n|---|---|---|---|---|")
+    for name, figures in comparison.figures["candidates"].items():
+        row(name, str(figures["triangles"]), *(figures[key] for key in ("psnr", "flip", "silhouette_error")))
+    save(args, "tessellations", [comparison.reference, *comparison.candidates.values()], 3)
+
+
 def chain(args) -> None:
     """The levels of one asset."""
     from mi_simplify.jobs.chain import lod_job
@@ -198,9 +242,12 @@ def save(args, name: str, rows: list[np.ndarray], n: int = 6) -> None:
     image.resize((image.width * times, image.height * times), 0).save(folder / f"{name}_{Path(args.asset).stem}.png")
 
 
+TABLES = {table.__name__: table for table in (prefilter, mips, displacement, tessellations, chain)}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", choices=["prefilter", "mips", "displacement", "chain"])
+    parser.add_argument("table", choices=list(TABLES))
     parser.add_argument("asset")
     parser.add_argument("--metal", type=float, metavar="ROUGHNESS", help="make all of it gold of this roughness")
     parser.add_argument("--size", type=int, default=64, help="of images, for prefilter [px]")
@@ -214,7 +261,7 @@ def main() -> None:
     parser.add_argument("--set", nargs="*", default=[], help="settings, as on the command line")
     args = parser.parse_args()
     ms.ensure_variant()
-    {"prefilter": prefilter, "mips": mips, "displacement": displacement, "chain": chain}[args.table](args)
+    TABLES[args.table](args)
 
 
 if __name__ == "__main__":
