@@ -1,5 +1,7 @@
 """Clean-up: what is dropped, swapped, rewound and cut, and what is left alone."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -61,6 +63,17 @@ def test_rounding_apart_is_welded():
     soup, notes = clean(soup_of(corners, np.arange(240).reshape(-1, 3)))
     assert len(soup.positions) == 42 and sides(soup.position_faces).tolist() == [0, 120]
     assert any("welded" in n for n in notes)
+
+
+def test_a_crowd_within_the_tolerance_takes_no_memory():
+    """What is far smaller than the rest becomes one position; its pairs of positions would be gigabytes."""
+    p, f = sphere(20_000)
+    far = np.array([[1e9, 0, 0], [1e9, 1e9, 0], [0, 1e9, 1e9]]) + 5e9
+    tracemalloc.start()
+    soup, notes = clean(soup_of(np.concatenate([p, far]), np.concatenate([f, len(p) + np.arange(3)[None]])))
+    assert tracemalloc.get_traced_memory()[1] < 100e6
+    tracemalloc.stop()
+    assert len(soup.faces) == 1 and f"{len(p) - 1} nearly equal positions welded" in notes
 
 
 def test_a_sliver_is_swapped_away_without_tearing():

@@ -86,14 +86,23 @@ def _keep(soup: Soup, which: np.ndarray) -> Soup:
 
 
 def _weld_near(soup: Soup, tolerance: float) -> Soup:
-    """Merge positions that lie within ``tolerance``, chains of them too; drop the unreferenced ones."""
+    """
+    Merge positions that lie within ``tolerance``, chains of them too; drop the unreferenced ones.
+
+    All positions in a cell of a grid whose cells are that large across are one, and the first stands for them when
+    cells are compared: the pairs of a cloud that is smaller than the tolerance would fill the memory.
+    """
     used = np.unique(soup.position_faces)
     points = soup.positions[used]
-    pairs = cKDTree(points).query_pairs(tolerance, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
-    n, label = connected_components(graph, directed=False)
-    first = np.full(n, len(points))
-    np.minimum.at(first, label, np.arange(len(points)))
+    side = tolerance / 3**0.5 or 1.0  # without extent, there is one cell
+    cell = ((points - points.min(0, initial=np.inf)) / side).astype(np.int64)
+    _, representative, in_cell = np.unique(cell @ (1 << np.array([0, 21, 42])), return_index=True, return_inverse=True)
+    pairs = cKDTree(points[representative]).query_pairs(tolerance, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(representative),) * 2)
+    cluster = connected_components(graph, directed=False)[1][in_cell]
+    _, first, label = np.unique(cluster, return_index=True, return_inverse=True)
+    order = np.argsort(first)  # of the first of each
+    first, label = first[order], np.argsort(order)[label]
     index = np.zeros(len(soup.positions), np.int64)
     index[used] = label
     return replace(soup, positions=points[first], position_index=index[soup.position_index])
