@@ -4,6 +4,7 @@ Damage to files that are made of parts: a part is mutated and the whole put toge
 
 from __future__ import annotations
 
+import copy
 import io
 import struct
 import warnings
@@ -82,6 +83,8 @@ def usdc(data: bytes, other: bytes, rng: np.random.Generator) -> bytes:
     """
     table = struct.unpack_from("<q", data, 16)[0]
     n = struct.unpack_from("<Q", data, table)[0]
+    if n > len(data) // 32:
+        raise ValueError("more sections than bytes")
     places = [table + 8 + 32 * k for k in range(n)]
     spans = [struct.unpack_from("<2q", data, at + 16) for at in places]
     first = min(begin for begin, _ in spans)
@@ -165,7 +168,7 @@ def xml(data: bytes, other: bytes, rng: np.random.Generator) -> bytes:
                 if element not in child.iter():
                     element.append(child)
             case 2:
-                element.append(foreign[rng.integers(len(foreign))])
+                element.append(copy.deepcopy(foreign[rng.integers(len(foreign))]))  # or it might hold itself one day
             case 3:
                 element.tag = every[rng.integers(len(every))].tag
             case 4:

@@ -49,14 +49,20 @@ _ADDRESSES = 8 << 30  # [bytes] a worker may reserve, so that a finding does not
 _BEFORE_A_NEW_WORKER = 2000  # inputs; the peak of a process's memory never falls again
 
 
+def kind_of(number: int, kinds: tuple[str, ...]) -> str:
+    """
+    What input ``number`` is.
+    """
+    known = sorted({s.kind for s in seeds() if not kinds or s.kind in kinds})
+    return known[number % len(known)]
+
+
 def damaged(number: int, seed: int, kinds: tuple[str, ...]) -> tuple[Seed, dict[str, bytes]]:
     """
     Input ``number``: a seed, and its files of which one is mutated.
     """
-    known = [s for s in seeds() if not kinds or s.kind in kinds]
-    rng = np.random.default_rng([seed, number])
-    kind = sorted({s.kind for s in known})[number % len({s.kind for s in known})]
-    alike = [s for s in known if s.kind == kind]
+    rng, kind = np.random.default_rng([seed, number]), kind_of(number, kinds)
+    alike = [s for s in seeds() if s.kind == kind]
     chosen, other = (alike[k] for k in rng.integers(len(alike), size=2))
     data, foreign = chosen.files[chosen.target], other.files[other.target]
     in_parts = {
@@ -217,7 +223,7 @@ def run(arguments: argparse.Namespace) -> list[tuple[int, str, str]]:
         if not verdict and worker.exitcode != -9:
             verdict = f"the process died (exit code {worker.exitcode})"
         if verdict:
-            findings.append((at, damaged(at, arguments.seed, arguments.kinds)[0].kind, verdict))
+            findings.append((at, kind_of(at, arguments.kinds), verdict))
             print(*findings[-1], flush=True)
         number = at + 1
     seconds = time.monotonic() - begin
