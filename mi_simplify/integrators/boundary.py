@@ -17,7 +17,8 @@ from ..latent.surface import MeshTopology, Surface
 from ..latent.textures import Textures
 from ..machine.frozen import frozen
 from ..scenes.shapes import MovingMesh
-from .edge_samples import EdgeRays, EdgeSet
+from .edge_samples import EdgeRays
+from .edge_set import EdgeSet
 from .edges import edge_table
 from .gbuffer import MISS, Hits, kept_hits, trace, with_light
 from .layers import WIDTH, composite, layered_hits, peel

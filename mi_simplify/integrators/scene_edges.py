@@ -14,7 +14,8 @@ from ..machine.upload import upload
 from ..scenes.shapes import POSITIONS, mesh_faces, mesh_positions
 from ..scenes.views import Views
 from .camera import Cameras
-from .edge_samples import AT_EDGE, EdgeSamples, EdgeSet
+from .edge_samples import AT_EDGE, EdgeSamples
+from .edge_set import EdgeSet
 from .edges import edge_table
 
 
