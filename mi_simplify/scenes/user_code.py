@@ -1,0 +1,63 @@
+"""
+Python code of the user's own, by its name.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..config.section import CODE_NAME
+from ..errors import AssetError
+
+
+def code_named(text: str, purpose: str) -> Any:
+    """
+    What ``package.module:name`` or ``file.py:name`` stands for: this runs the user's own Python code.
+
+    Modules are looked for beside the working directory, too.
+
+    Raises
+    ------
+    AssetError
+        There is no such module or name, or its code fails.
+    """
+    match = CODE_NAME.match(text)
+    if match is None:
+        raise AssetError(f"the {purpose} '{text}' should read package.module:name or file.py:name")
+    module, name = match["module"], match["name"]
+    try:
+        loaded = _module_of_file(Path(module)) if module.endswith(".py") else _module_named(module)
+    except AssetError:
+        raise
+    except Exception as error:
+        line = (str(error).splitlines() or [""])[0]
+        raise AssetError(f"the {purpose} '{text}': {module} fails: {type(error).__name__}: {line}") from error
+    if not hasattr(loaded, name):
+        raise AssetError(f"the {purpose} '{text}': {module} has no '{name}'")
+    return getattr(loaded, name)
+
+
+def _module_named(name: str) -> Any:
+    if "" not in sys.path and str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))  # as `python -m` does, and the installed command does not
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is not None and not name.startswith(error.name):
+            raise
+        raise AssetError(f"there is no module '{name}', in {Path.cwd()} or among what is installed") from None
+
+
+def _module_of_file(path: Path) -> Any:
+    if not path.is_file():
+        raise AssetError(f"the file '{path}' does not exist")
+    spec = importlib.util.spec_from_file_location(f"mi_simplify_user_{path.stem}", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
