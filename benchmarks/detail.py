@@ -54,14 +54,14 @@ class Judge:
     """Views of one size, the asset in them without aliasing, and figures of anything beside it."""
 
     def __init__(self, subject, views, spp: int = 256):
-        from mi_simplify.scenes.reference import make_reference
+        from mi_simplify.scenes.mitsuba_reference import make_reference
 
         self.views, self.asset = views, subject.frame.normalised(subject.geometry)
         self.truth = make_reference(self.asset, spp=spp).render(views, 5)
 
     def once(self, anywhere: bool = False) -> np.ndarray:
         """The asset with one sample in the middle of each pixel, or anywhere in it."""
-        from mi_simplify.scenes.reference import MitsubaReference, make_reference
+        from mi_simplify.scenes.mitsuba_reference import MitsubaReference, make_reference
 
         reference = make_reference(self.asset, spp=1)
         assert isinstance(reference, MitsubaReference)
@@ -73,7 +73,7 @@ class Judge:
         What one sample a pixel can show at best: the truth but for pixels in which an outline lies, of the asset or of
         a part before another; those show what lies in their middle.
         """
-        from mi_simplify.scenes.reference import MitsubaReference, make_reference
+        from mi_simplify.scenes.mitsuba_reference import MitsubaReference, make_reference
 
         reference = make_reference(self.asset, spp=1)
         assert isinstance(reference, MitsubaReference)

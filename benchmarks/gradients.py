@@ -204,7 +204,7 @@ def reference(resolution: int, clock: Clock, n_steps: int) -> float:
     import numpy as np
 
     from mi_simplify.config import Config
-    from mi_simplify.scenes.reference import make_reference
+    from mi_simplify.scenes.mitsuba_reference import make_reference
     from mi_simplify.scenes.views import goniometer
 
     settings = Config(asset="none").reference
@@ -254,7 +254,7 @@ def projective(model, views, clock: Clock, n_steps: int) -> float:
     import mitsuba as mi
     import numpy as np
 
-    from mi_simplify.scenes.reference import view_sensor
+    from mi_simplify.scenes.mitsuba_reference import view_sensor
     from mi_simplify.scenes.shapes import POSITIONS, asset_shapes
 
     arrays = views.arrays()

@@ -12,7 +12,7 @@ from mi_simplify.initial.clusters import cluster_faces, pieces
 from mi_simplify.initial.crossing import crossing_cards
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.reference import make_reference
+from mi_simplify.scenes.mitsuba_reference import make_reference
 from mi_simplify.scenes.samples import sample_asset
 from mi_simplify.scenes.views import held_out_views
 

@@ -15,8 +15,9 @@ from mi_simplify.frame import Frame
 from mi_simplify.scenes.asset import Asset
 from mi_simplify.scenes.images import srgb_to_linear
 from mi_simplify.scenes.load import load_asset
+from mi_simplify.scenes.mitsuba_reference import make_reference, scene_reference
 from mi_simplify.scenes.read_mitsuba import SceneAsset
-from mi_simplify.scenes.reference import FramedReference, make_reference, scene_reference
+from mi_simplify.scenes.reference import FramedReference
 from mi_simplify.scenes.shapes import make_mesh
 from mi_simplify.scenes.views import held_out_views, look_at
 

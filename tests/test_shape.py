@@ -14,7 +14,8 @@ from mi_simplify.fitting.shape import ShapeSteps
 from mi_simplify.latent import latent as latent_module
 from mi_simplify.latent.model import Model
 from mi_simplify.latent.operation import Identity
-from mi_simplify.scenes.reference import CallableReference, make_reference
+from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.reference import CallableReference
 from mi_simplify.scenes.views import goniometer
 
 WHITE = np.float32([[[0.8, 0.8, 0.8, 1]]]), np.float32([[[0, 0.5, 0]]]), np.float32([[[0, 0, 1]]])

@@ -8,7 +8,7 @@ from tiny_meshes import charted_sphere
 from mi_simplify.latent.model import Model
 from mi_simplify.scenes import shapes
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
-from mi_simplify.scenes.reference import make_reference
+from mi_simplify.scenes.mitsuba_reference import make_reference
 from mi_simplify.scenes.shapes import (
     MovingMesh,
     asset_shapes,

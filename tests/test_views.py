@@ -8,7 +8,7 @@ from scipy import stats
 
 from mi_simplify.errors import UserError
 from mi_simplify.integrators.camera import Cameras, film_samples
-from mi_simplify.scenes.reference import view_sensor
+from mi_simplify.scenes.mitsuba_reference import view_sensor
 from mi_simplify.scenes.views import Views, goniometer, held_out_views, look_at
 
 N = 4000

@@ -219,7 +219,7 @@ class PathTraced:
     """
 
     def __init__(self, asset: Asset, spp: int):
-        from ..scenes.reference import make_reference
+        from ..scenes.mitsuba_reference import make_reference
 
         self._lit = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH)
         self._sky = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..latent.topology import vertex_normals, weld
 from .asset import Asset, Part, rig_of
-from .reference import MitsubaReference
+from .mitsuba_reference import MitsubaReference
 from .rig import Rig, Skin, deform, normal_matrices, turn
 from .shapes import mesh_keys, rendered_mesh, rendered_part
 from .views import Views

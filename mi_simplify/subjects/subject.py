@@ -23,8 +23,9 @@ from ..report.portrait import in_frame, portrait_view, render_picture
 from ..scenes.asset import Asset
 from ..scenes.images import decode_image
 from ..scenes.load import load_asset
+from ..scenes.mitsuba_reference import make_reference
 from ..scenes.read_mitsuba import SceneAsset
-from ..scenes.reference import Reference, make_reference
+from ..scenes.reference import Reference
 from ..scenes.samples import sample_asset
 from ..scenes.views import Views, held_out_views
 from .light import fitted_light
