@@ -1,20 +1,25 @@
 """
-Skinning weights as files have them, made into what linear blend skinning needs; what is broken is told.
+Skinning weights and joints as files have them, made into what linear blend skinning needs; what is broken is told.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..errors import MeshError
+from ..errors import AssetError, MeshError
+from .asset import Instance, Part
 from .rig import Rig, Skin
-from .validate import check_indices
+from .validate import MAX_COORDINATE, check_indices
 
 #: Name of the joint that carries what does not move.
 STILL = "still"
+
+#: Frames of a clip; longer ones are thinned.
+MAX_FRAMES = 2000
 
 #: Sums of weights that differ by more are worth a word.
 _ROUNDING = 0.01
@@ -69,7 +74,13 @@ def make_skin(
 
 
 def sorted_rig(
-    names: list[str], parents: np.ndarray, bind: np.ndarray, poses: np.ndarray, codes: np.ndarray, rate: float
+    names: list[str],
+    parents: np.ndarray,
+    bind: np.ndarray,
+    poses: np.ndarray,
+    codes: np.ndarray,
+    rate: float,
+    model: str,
 ) -> tuple[Rig, np.ndarray]:
     """
     A rig with parents before children and distinct names, and the new number of each joint, shape (J,).
@@ -78,7 +89,16 @@ def sorted_rig(
     ----------
     names, parents, bind, poses, codes, rate
         As :class:`.rig.Rig` has them, in any order.
+    model : str
+        File, for messages.
+
+    Raises
+    ------
+    AssetError
+        The poses are not finite.
     """
+    if not (np.isfinite(poses).all() and np.abs(poses).max() < MAX_COORDINATE):
+        raise AssetError(f"{model}: the animation is not finite; export it again")
     depth = np.zeros(len(names), np.int64)
     for k in range(len(names)):
         j = k
@@ -95,3 +115,24 @@ def sorted_rig(
         distinct.append(names[k] if n == 1 else f"{names[k]}_{n}")
     above = np.where(above >= 0, new[above], -1)
     return Rig(tuple(distinct), above, bind[order], poses[:, order], np.asarray(codes, np.float64), rate), new
+
+
+def renumbered(
+    parts: Iterable[Part], instances: Iterable[Instance], is_rigid: Iterable[bool], new: np.ndarray, joints: list[int]
+) -> tuple[tuple[Part, ...], tuple[Instance, ...]]:
+    """
+    Parts and instances that name the joints of a finished rig.
+
+    Parameters
+    ----------
+    is_rigid : iterable of bool
+        Of each instance, whether it follows a single joint instead of having a skin.
+    new : ndarray, shape (J,)
+        The rig's number of each joint that skins speak of.
+    joints : list of int
+        That of each rigid instance, in their order.
+    """
+    left = iter(joints)
+    skinned = (p if p.skin is None else replace(p, skin=replace(p.skin, joints=new[p.skin.joints])) for p in parts)
+    placed = (replace(i, joint=next(left)) if rigid else i for i, rigid in zip(instances, is_rigid, strict=True))
+    return tuple(skinned), tuple(placed)

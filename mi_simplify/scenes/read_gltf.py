@@ -15,8 +15,10 @@ from ..machine import memory
 from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Part
 from .gltf_file import GltfFile
 from .gltf_material import read_material
-from .gltf_skeleton import Skeletons, local_matrix, trs
+from .gltf_motion import local_matrix, trs
+from .gltf_skeleton import Skeletons
 from .images import constant
+from .influences import renumbered
 from .mapping import Mapping
 from .validate import check_indices, used_vertices
 
@@ -72,15 +74,9 @@ class _Scene:
                 self.file.resources.note("animations were left out; the model stands as its nodes do")
             return Asset(tuple(self.parts), tuple(self.instances), notes=tuple(notes), ambient=self._ambient())
         rig, new, joints = self._skeletons.rig([c for c in self._carriers if c is not None])
-        parts = [
-            p if p.skin is None else replace(p, skin=replace(p.skin, joints=new[p.skin.joints])) for p in self.parts
-        ]
-        left = iter(joints)
-        instances = [
-            i if c is None else replace(i, joint=next(left))
-            for i, c in zip(self.instances, self._carriers, strict=True)
-        ]
-        return Asset(tuple(parts), tuple(instances), notes=tuple(notes), ambient=self._ambient(), rig=rig)
+        is_rigid = [c is not None for c in self._carriers]
+        parts, instances = renumbered(self.parts, self.instances, is_rigid, new, joints)
+        return Asset(parts, instances, notes=tuple(notes), ambient=self._ambient(), rig=rig)
 
     def _ambient(self) -> np.ndarray | None:
         """The light besides point lights that a model of ours was fitted under."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Ar, Sdf, UsdShade
+from pxr import Ar, Sdf, Usd, UsdShade
 
 from ..errors import AssetError
 from .asset import Material
@@ -19,6 +19,27 @@ from .resources import Resources
 
 _DEFAULTS = {"diffuseColor": (0.18, 0.18, 0.18), "roughness": 0.5, "metallic": 0.0, "opacity": 1.0}
 _CHANNELS = {"r": [0], "g": [1], "b": [2], "a": [3], "rgb": [0, 1, 2], "rgba": [0, 1, 2]}
+
+
+def bound_material(prim: Usd.Prim) -> UsdShade.Material | None:
+    """
+    What a prim looks like in a preview, else in a full render; None where nothing is bound.
+    """
+    for purpose in ("preview", "full"):
+        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(purpose)[0]
+        if material:
+            return material
+    return None
+
+
+def material_path(material: UsdShade.Material | None) -> str:
+    """
+    A name that all instances of a material share; empty for None.
+    """
+    if material is None:
+        return ""
+    prim = material.GetPrim()
+    return str((prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath())
 
 
 def read_usd_material(material: UsdShade.Material, resources: Resources) -> tuple[Material, Mapping | None, str | None]:

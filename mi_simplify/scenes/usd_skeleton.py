@@ -1,5 +1,5 @@
 """
-UsdSkel: skeletons, which meshes they are bound to, and their motion by time code.
+UsdSkel: skeletons, which meshes they are bound to, and all of them as one rig.
 """
 
 from __future__ import annotations
@@ -7,20 +7,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from pxr import Usd, UsdGeom, UsdSkel
 
 from ..errors import AssetError, MeshError
 from ..machine import memory
 from .influences import STILL, make_skin, sorted_rig
 from .resources import Resources
 from .rig import Rig, Skin
-from .validate import MAX_COORDINATE
-
-_TIME = Usd.TimeCode.EarliestTime()
-_ALL = Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)
-
-#: Frames of a clip; longer ones are thinned.
-MAX_FRAMES = 2000
+from .usd_motion import Motion, moves, with_parents
+from .usd_values import TIME, VISITED, matrix
 
 
 @dataclass
@@ -50,6 +45,7 @@ class Skeletons:
     def __init__(self, stage: Usd.Stage, resources: Resources, to_world: np.ndarray):
         self.stage, self.resources, self.to_world = stage, resources, to_world
         self._cache = UsdSkel.Cache()
+        self._xforms = UsdGeom.XformCache(TIME)
         self._roots: set = set()
         self._skeletons: dict[str, _Skeleton] = {}
         self._n = 0
@@ -72,7 +68,7 @@ class Skeletons:
             return None
         if root.GetPath() not in self._roots:
             self._roots.add(root.GetPath())
-            self._cache.Populate(root, _ALL)
+            self._cache.Populate(root, VISITED)
         query, skeleton = self._cache.GetSkinningQuery(prim), binding.GetInheritedSkeleton()
         if not skeleton:
             target = _inherited_target(prim)
@@ -94,7 +90,7 @@ class Skeletons:
         """Raise where a mesh has joints and weights that USD does not take."""
         joints, weights = binding.GetJointIndicesPrimvar(), binding.GetJointWeightsPrimvar()
         if joints.HasValue() or weights.HasValue():
-            counts = [len(p.Get(_TIME) or ()) if p.HasValue() else 0 for p in (joints, weights)]
+            counts = [len(p.Get(TIME) or ()) if p.HasValue() else 0 for p in (joints, weights)]
             raise MeshError(
                 f"{self.resources.model.name}: '{prim.GetName()}' has {counts[0]} joint indices and {counts[1]} "
                 "weights that do not go together; bind it again and export"
@@ -105,8 +101,7 @@ class Skeletons:
         World transform of a skinned mesh in its bind pose: it follows its skeleton instead of its parents.
         """
         skeleton = self._of(prim)
-        world = matrix(UsdGeom.XformCache(_TIME).GetLocalToWorldTransform(skeleton.query.GetPrim()))
-        return self.to_world @ world @ matrix(query.GetGeomBindTransform(_TIME))
+        return self.to_world @ self._at_rest(skeleton.query.GetPrim()) @ matrix(query.GetGeomBindTransform(TIME))
 
     def skin(self, prim: Usd.Prim, query: UsdSkel.SkinningQuery, points: np.ndarray) -> Skin:
         """
@@ -120,7 +115,7 @@ class Skeletons:
             Numbers of joints, weights and points do not go together.
         """
         skeleton, model, name = self._of(prim), self.resources.model.name, prim.GetName()
-        found = query.ComputeVaryingJointInfluences(len(points), _TIME)
+        found = query.ComputeVaryingJointInfluences(len(points), TIME)
         k = query.GetNumInfluencesPerComponent()
         joints, weights = (np.array(x) for x in found) if found else (np.zeros(0), np.zeros(0))
         if k < 1 or len(joints) != k * len(points) or len(weights) != len(joints):
@@ -190,7 +185,7 @@ class Skeletons:
             self.resources.note(f"skeleton '{name}' has no animation; its one frame is the pose at rest")
             return
         moved = {str(j) for j in anim.GetJointOrder()}
-        if not moved or not anim.ComputeJointLocalTransforms(_TIME):
+        if not moved or not anim.ComputeJointLocalTransforms(TIME):
             self.resources.note(f"the animation of skeleton '{name}' is empty; its one frame is the pose at rest")
         elif still := [j for j in joints if j not in moved]:
             what = f"{len(still)} of {len(joints)} joints"
@@ -213,106 +208,47 @@ class Skeletons:
         joints : list of int
             That of each rigid mesh.
         """
-        codes = self._codes(rigid)
-        n = len(codes)
+        skeletons = list(self._skeletons.values())
+        motion = Motion(self.stage, self.resources, [s.query for s in skeletons], rigid)
+        n = len(motion.codes)
         what = f"{self.resources.model.name}: {n} frames of {self._n} joints"
         memory.require(512 * n * max(self._n, 1), what, "shorten the animation")
-        skeletons = list(self._skeletons.values())
         several = len(skeletons) > 1
         names, parents, binds, poses = [], [], [], []
-        caches = [UsdGeom.XformCache(Usd.TimeCode(c)) for c in codes]
-        at_first = UsdGeom.XformCache(_TIME)
         for k, skeleton in enumerate(skeletons):
             prim = skeleton.query.GetPrim()
             prefix = f"{prim.GetName()}_{k}/" if several else ""
             names += [prefix + joint for joint in skeleton.joints]
             parents.append(np.where(skeleton.parents >= 0, skeleton.parents + skeleton.first, -1))
-            binds.append(matrix(at_first.GetLocalToWorldTransform(prim)) @ skeleton.bind)
-            poses.append(np.stack([
-                matrix(cache.GetLocalToWorldTransform(prim)) @ self._joints(skeleton, code)
-                for code, cache in zip(codes, caches, strict=True)
-            ]))  # fmt: skip
+            binds.append(self._at_rest(prim) @ skeleton.bind)
+            poses.append(motion.world(prim)[:, None] @ motion.joints(skeleton.query))
         joints: list[int] = []
         number: dict[str, int] = {}
         for prim in rigid:
-            first = matrix(at_first.GetLocalToWorldTransform(prim))
-            moving = _moves(prim) and abs(np.linalg.det(first)) > 0
+            first = self._at_rest(prim)
+            moving = moves(prim) and abs(np.linalg.det(first)) > 0
             path = str(prim.GetPath()) if moving else STILL
             if path not in number:
-                world = np.tile(np.eye(4), (n, 1, 1))
-                if moving:
-                    world = np.stack([matrix(cache.GetLocalToWorldTransform(prim)) for cache in caches])
                 number[path] = len(names)
                 names.append(prim.GetName() if moving else STILL)
                 parents.append(np.array([-1]))
                 binds.append((first if moving else np.eye(4))[None])
-                poses.append(world[:, None])
+                poses.append((motion.world(prim) if moving else np.tile(np.eye(4), (n, 1, 1)))[:, None])
             joints.append(number[path])
         bind, pose = np.concatenate(binds), np.concatenate(poses, axis=1)
-        if not (np.isfinite(pose).all() and np.abs(pose).max() < MAX_COORDINATE):
-            raise AssetError(f"{self.resources.model.name}: the animation is not finite; export it again")
         rate = self.stage.GetTimeCodesPerSecond() or 24.0
-        rig, new = sorted_rig(names, np.concatenate(parents), bind, pose, codes, rate)
+        rig, new = sorted_rig(names, np.concatenate(parents), bind, pose, motion.codes, rate, self.resources.model.name)
         return rig.transformed(self.to_world), new, [int(new[j]) for j in joints]
 
-    def _joints(self, skeleton: _Skeleton, code: float) -> np.ndarray:
-        """Joints in the skeleton's space at a time code, shape (J, 4, 4)."""
-        found = skeleton.query.ComputeJointSkelTransforms(Usd.TimeCode(code))
-        if found is None or len(found) != len(skeleton.joints):
-            name = skeleton.query.GetPrim().GetName()
-            raise AssetError(f"{self.resources.model.name}: skeleton '{name}' has no pose at {code:g}; export it again")
-        return np.stack([matrix(m) for m in found])
-
-    def _codes(self, rigid: list[Usd.Prim]) -> np.ndarray:
-        """Time codes of the clip: those of the samples, and whole ones between samples that lie far apart."""
-        samples: set[float] = set()
-        prims = [s.query.GetPrim() for s in self._skeletons.values()] + rigid
-        for skeleton in self._skeletons.values():
-            anim = skeleton.query.GetAnimQuery()
-            samples.update(anim.GetJointTransformTimeSamples() if anim else ())
-        for p in {p.GetPath(): p for prim in prims for p in _with_parents(prim)}.values():
-            xformable = UsdGeom.Xformable(p)
-            samples.update(xformable.GetTimeSamples() if xformable else ())
-        codes = np.array(sorted(samples))
-        codes = codes[np.isfinite(codes)]
-        if self.stage.HasAuthoredTimeCodeRange():
-            within = codes[(codes >= self.stage.GetStartTimeCode()) & (codes <= self.stage.GetEndTimeCode())]
-            codes = within if len(within) > 1 else codes
-        if len(codes) < 2:
-            return np.zeros(1) if not len(codes) else codes
-        if np.diff(codes).max() > 1.5 and np.ptp(codes) <= MAX_FRAMES:
-            codes = np.unique(np.concatenate([codes, np.arange(np.ceil(codes[0]), codes[-1])]))
-        if len(codes) > MAX_FRAMES:
-            self.resources.note(f"of {len(codes)} frames every {-(-len(codes) // MAX_FRAMES)}th was taken")
-            codes = codes[:: -(-len(codes) // MAX_FRAMES)]
-        return codes
-
-
-def _moves(prim: Usd.Prim) -> bool:
-    """Whether a transform of a prim or above it has more than one time sample."""
-    xforms = (UsdGeom.Xformable(p) for p in _with_parents(prim))
-    return any(x and len(x.GetTimeSamples()) > 1 for x in xforms)
-
-
-def _with_parents(prim: Usd.Prim) -> list[Usd.Prim]:
-    out = []
-    while prim and not prim.IsPseudoRoot():
-        out.append(prim)
-        prim = prim.GetParent()
-    return out
+    def _at_rest(self, prim: Usd.Prim) -> np.ndarray:
+        """World transform of a prim, shape (4, 4), without the up axis."""
+        return matrix(self._xforms.GetLocalToWorldTransform(prim))
 
 
 def _inherited_target(prim: Usd.Prim) -> str | None:
     """What the closest authored ``skel:skeleton`` on a prim or above it names."""
-    for p in _with_parents(prim):
+    for p in with_parents(prim):
         targets = UsdSkel.BindingAPI(p).GetSkeletonRel().GetTargets() if p.HasRelationship("skel:skeleton") else ()
         if targets:
             return str(targets[0])
     return None
-
-
-def matrix(matrix: Gf.Matrix4d) -> np.ndarray:
-    """
-    USD's row-vector matrix for column vectors.
-    """
-    return np.array(matrix, np.float64).T
