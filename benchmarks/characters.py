@@ -53,6 +53,7 @@ def run(asset: str, triangles: int, case: str, settings: list[str], folder: Path
     """One fit, its files, and its verdict on the frames that were held out."""
     from mi_simplify.export import export_model
     from mi_simplify.fitting import fit
+    from mi_simplify.report.evaluate import Judging
     from mi_simplify.report.self_check import self_check
     from mi_simplify.subjects import open_subject
 
@@ -75,7 +76,7 @@ def run(asset: str, triangles: int, case: str, settings: list[str], folder: Path
         candidates = {BASELINE: baseline.as_asset(), GUESS: subject.frame.restored(guess).as_asset(), **candidates}
         candidates["unpruned"] = subject.frame.restored(fitted).as_asset()
     judged = config.evaluation
-    comparison = subject.judge(candidates, n_views=judged.views, resolution=judged.resolution, spp=judged.spp)
+    comparison = subject.judge(candidates, Judging(judged.views, judged.resolution, judged.spp))
     images = {"reference": comparison.reference, **comparison.candidates}
     rows = {n: r | {"seconds": seconds, "checks": checks} for n, r in comparison.figures["candidates"].items()}
     facts = {

@@ -165,7 +165,7 @@ def mips(args) -> None:
 
 def displacement(args) -> None:
     """A displaced base mesh against normal maps alone, as `evaluate` judges."""
-    from mi_simplify.report.evaluate import compare_assets
+    from mi_simplify.report.evaluate import Judging, compare_assets
 
     common = [f"asset={args.asset}", f"optimizer.steps={args.steps}", "initial.atlas_size=1024", *args.set]
     few = [*common, "initial.triangles=1000"]
@@ -185,7 +185,7 @@ def displacement(args) -> None:
             model = replace(model, normal=np.broadcast_to(np.float32([0, 0, 1]), model.normal.shape).copy())
         candidates[name] = model.as_asset()
     target = subject.frame.normalised(subject.geometry)
-    comparison = compare_assets(target, candidates, n_views=args.views, resolution=256, spp=32)
+    comparison = compare_assets(target, candidates, Judging(n_views=args.views, resolution=256, spp=32))
     print("| | triangles | PSNR [dB] | FLIP | silhouette error | fit [s] |\n|---|---|---|---|---|---|")
     for name, figures in comparison.figures["candidates"].items():
         numbers = (figures[key] for key in ("psnr", "flip", "silhouette_error"))
@@ -195,7 +195,7 @@ def displacement(args) -> None:
 
 def tessellations(args) -> None:
     """One displaced model for three tessellations at once, beside models that are fitted for one alone."""
-    from mi_simplify.report.evaluate import compare_assets
+    from mi_simplify.report.evaluate import Judging, compare_assets
 
     common = [f"asset={args.asset}", f"optimizer.steps={args.steps}", "initial.triangles=1000"]
     common += ["initial.atlas_size=1024", *args.set]
@@ -207,7 +207,7 @@ def tessellations(args) -> None:
         candidates[f"{4**n} times, alone"] = alone.as_asset()
         candidates[f"{4**n} times, with the others"] = shown.as_asset()
     target = subject.frame.normalised(subject.geometry)
-    comparison = compare_assets(target, candidates, n_views=args.views, resolution=256, spp=32)
+    comparison = compare_assets(target, candidates, Judging(n_views=args.views, resolution=256, spp=32))
     print("| | triangles | PSNR [dB] | FLIP | silhouette error |\n|---|---|---|---|---|")
     for name, figures in comparison.figures["candidates"].items():
         row(name, str(figures["triangles"]), *(figures[key] for key in ("psnr", "flip", "silhouette_error")))

@@ -19,7 +19,7 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 import mi_simplify as ms
-from mi_simplify.report.evaluate import compare_assets
+from mi_simplify.report.evaluate import Judging, compare_assets
 from mi_simplify.report.pictures import shown
 from mi_simplify.scenes.asset import Asset, Material
 
@@ -70,7 +70,7 @@ def main() -> None:
     guess, _ = ms.first_guess(target, triangles=args.triangles)
     fitted = ms.fit(guess, ms.make_reference(target, transport="direct", spp=config.reference.spp), config)
     candidates = {"bake": guess.as_asset(), "fit": fitted.model.as_asset()}
-    comparison = compare_assets(target, candidates, n_views=16, spp=128)
+    comparison = compare_assets(target, candidates, Judging(n_views=16, spp=128))
     print("| model | PSNR [dB] | FLIP | silhouette error |\n|---|---|---|---|")
     for name, row in comparison.figures["candidates"].items():
         print(f"| {name} | {row['psnr']:.2f} | {row['flip']:.4f} | {row['silhouette_error']:.4f} |")

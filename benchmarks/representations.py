@@ -97,7 +97,7 @@ def photographs(asset: str, folder: Path, case: str, environment: str | None) ->
 
 def strip(folder: Path) -> None:
     """Reference, first guess and result of two held-out views as one JPEG."""
-    from mi_simplify.report.evaluate import load_comparison
+    from mi_simplify.report.comparison import load_comparison
     from mi_simplify.report.pictures import shown
 
     comparison = load_comparison(folder)

@@ -342,11 +342,12 @@ def compare(**options) -> None:
 def _judge(reference, candidates, out, views, resolution, spp, seed, frames, variant, overwrite, quiet) -> None:
     _prepare(variant)
     from .jobs.job import evaluate_job, figure_rows
+    from .report.evaluate import Judging
 
     with _progress(quiet) as progress:
         figures = evaluate_job(
             reference, candidates, out, progress,
-            n_views=views, resolution=resolution, spp=spp, seed=seed, animation=_animation(frames), variant=variant,
+            judging=Judging(views, resolution, spp, seed), animation=_animation(frames), variant=variant,
             overwrite=overwrite,
         )  # fmt: skip
     print("\n".join(figure_rows(figures)))

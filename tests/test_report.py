@@ -17,7 +17,8 @@ from PIL import Image
 from mi_simplify.errors import AssetError, OutputError
 from mi_simplify.report import gallery
 from mi_simplify.report.chart import line_chart, log_ticks, ticks
-from mi_simplify.report.evaluate import Comparison, compare_assets, evaluate, load_comparison, save_comparison
+from mi_simplify.report.comparison import Comparison, load_comparison, save_comparison
+from mi_simplify.report.evaluate import Judging, compare_assets, evaluate
 from mi_simplify.report.folder import report_folder
 from mi_simplify.report.gallery import pictures
 from mi_simplify.report.html import write_report
@@ -367,7 +368,7 @@ def test_evaluate_ranks_candidates_and_writes_its_files(tmp_path):
 
 def test_one_seed_gives_the_same_images_again():
     settings = dict(n_views=2, resolution=48, spp=16)
-    a, b, c = (compare_assets(octahedron(), {}, **settings, seed=seed).reference for seed in (0, 0, 1))
+    a, b, c = (compare_assets(octahedron(), {}, Judging(**settings, seed=seed)).reference for seed in (0, 0, 1))
     np.testing.assert_array_equal(a, b)
     assert not np.array_equal(a, c), "another seed, other views"
     lit = a[a[..., 3] == 1][:, :3]
@@ -378,7 +379,7 @@ def test_light_and_sky_add_up_to_one_rendering():
     asset = octahedron()
     views = held_out_views(asset.bounds, 2, 48, 0)
     together = make_reference(asset, transport="baked", spp=256, max_depth=6, sky=0.1).render(views, seed=9)
-    apart = compare_assets(asset, {}, n_views=2, resolution=48, spp=64).reference
+    apart = compare_assets(asset, {}, Judging(n_views=2, resolution=48, spp=64)).reference
     assert apart[..., :3].mean() == pytest.approx(together[..., :3].mean(), rel=0.01)
     np.testing.assert_allclose(apart[..., 3], together[..., 3], atol=0.25)
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import drjit as dr
@@ -29,6 +29,7 @@ from ..record.events import require_tensorboard
 from ..record.output import RunFolder
 from ..record.preview import SHARE
 from ..record.stopwatch import Stopwatch
+from ..report.evaluate import Judging
 from ..report.html import report_page
 from ..report.pictures import contact_sheet
 from ..scenes.asset import Asset
@@ -181,10 +182,8 @@ def _try_rest(result: Forecast, config: Config, subject: Subject, guess: Model, 
     result.seconds["export"] = clock.lap() * (1 + len(config.export.formats))  # and one is read back
     images = Stopwatch()
     laps: list[float] = []
-    comparison = subject.judge(
-        {"result": candidate}, n_views=2, resolution=judged.resolution, spp=judged.spp, seed=config.seed,
-        progress=lambda _: laps.append(images.lap()),
-    )  # fmt: skip
+    two = replace(Judging.of(config), n_views=2)
+    comparison = subject.judge({"result": candidate}, two, lambda _: laps.append(images.lap()))
     _, of_reference, _, of_candidate = laps  # the first of each compiles
     n_candidates = 2 + judged.baseline
     more = (judged.views - 2) * of_reference + (judged.views * n_candidates - 2) * of_candidate

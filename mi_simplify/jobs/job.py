@@ -24,7 +24,8 @@ from ..record.interrupt import DeferredInterrupt
 from ..record.output import RunFolder
 from ..record.record import Record
 from ..record.stopwatch import Stopwatch
-from ..report.evaluate import save_comparison
+from ..report.comparison import save_comparison
+from ..report.evaluate import Judging
 from ..report.folder import report_folder
 from ..report.self_check import LEAST_PSNR, self_check
 from ..scenes.asset import Asset
@@ -142,14 +143,10 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         result = replace(load_asset(written), ambient=model.ambient)  # formats but GLB do not carry it
         shown = self_check(fitted.model, frame.normalised(result), form=config.latent.shading)
         candidates = {"first guess": guess.as_asset(), "result": result}
-        judged = config.evaluation
-        if judged.baseline:
+        if config.evaluation.baseline:
             baseline = subject.baseline(guess.n_triangles)
             candidates = {"quadrics": frame.restored(baseline).as_asset(), **candidates}
-        comparison = subject.judge(
-            candidates, n_views=judged.views, resolution=judged.resolution, spp=judged.spp,
-            seed=config.seed, progress=progress,
-        )  # fmt: skip
+        comparison = subject.judge(candidates, Judging.of(config), progress)
         clock.lap("evaluate")
         run = {
             **_facts(config), "variant": config.variant, "notes": notes, "seconds": clock.seconds,
@@ -229,14 +226,13 @@ def evaluate_job(
     out: str | Path | None = None,
     progress: ProgressCallback = silent,
     *,
+    judging: Judging = Judging(),
     variant: str | None = None,
     overwrite: bool = False,
     animation: Mapping[str, Any] | None = None,
-    **settings: int,
 ) -> dict:
     """
-    Judge files against an asset, or that of a YAML file in its own light; see :func:`mi_simplify.report.compare_assets`
-    for the settings.
+    Judge files against an asset, or that of a YAML file in its own light.
 
     Returns
     -------
@@ -251,7 +247,7 @@ def evaluate_job(
     named: list[dict[str, Any]] = [] if is_config else [{"asset": reference}]
     subject = open_subject(load_config(reference if is_config else None, [*named, *chosen]))
     assets = {name: open_asset(name) for name in candidates}
-    comparison = subject.judge(assets, progress=progress, **settings)
+    comparison = subject.judge(assets, judging, progress)
     if folder is not None:
         with folder.opened():
             with folder.staged() as stage:

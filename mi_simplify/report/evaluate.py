@@ -4,26 +4,22 @@ The project's own judge: path traces reference and candidates from views that no
 
 from __future__ import annotations
 
-import io
-import json
 import logging
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import __version__
-from ..errors import AssetError, OutputError
-from ..export.files import make_folder, write_atomic
-from ..export.textures import png, srgb_to_linear
+from ..config import Config
+from ..errors import AssetError
+from ..export.files import make_folder
 from ..progress import Progress, ProgressCallback, silent
 from ..scenes.asset import Asset
+from .comparison import Comparison, save_comparison
 from .metrics import COVERED, compare
-from .pictures import contact_sheet, shown
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
     from ..scenes.reference import Reference
@@ -37,59 +33,51 @@ SKY = 0.1
 MAX_DEPTH = 6
 """Longest light path [edges]."""
 
-VIEWS = "views.npz"
-"""The images of a comparison as a screen shows them, with coverage: what its report is built from."""
-
 
 @dataclass(frozen=True)
-class Comparison:
+class Judging:
     """
-    Images of a reference and its candidates, and what they measure.
+    How closely is looked.
 
     Parameters
     ----------
-    reference : ndarray, shape (B, H, W, 4), float32
-        Linear radiance on black, and coverage.
-    candidates : dict of str to ndarray, shape (B, H, W, 4), float32
-    figures : dict
-        What ``metrics.json`` holds: ``settings``, ``reference`` and, by name, ``candidates`` with
-        ``triangles``, ``psnr`` [dB], ``flip``, ``silhouette_error`` and ``per_view`` lists.
+    n_views, resolution, spp : int
+        How many square images of how many pixels and samples per pixel.
+    seed : int
+        Of views and noise, which depend on nothing else; only figures of one seed compare.
     """
 
-    reference: np.ndarray
-    candidates: dict[str, np.ndarray]
-    figures: dict
+    n_views: int = 8
+    resolution: int = 256
+    spp: int = 64
+    seed: int = 0
 
-    @property
-    def per_view(self) -> dict[str, dict]:
-        """Of every candidate the figures of each view."""
-        return {name: self.figures["candidates"][name]["per_view"] for name in self.candidates}
+    @staticmethod
+    def of(config: Config) -> Judging:
+        """
+        What a job's configuration asks for.
+        """
+        judged = config.evaluation
+        return Judging(judged.views, judged.resolution, judged.spp, config.seed)
 
 
 def compare_assets(
     reference: Asset,
     candidates: Mapping[str, Asset],
-    *,
-    n_views: int = 8,
-    resolution: int = 256,
-    spp: int = 64,
-    seed: int = 0,
+    judging: Judging = Judging(),
     progress: ProgressCallback | None = None,
 ) -> Comparison:
     """
     Path trace all of them from the same held-out views under the same lights, and measure.
 
     A point light stands 5 to 75 degrees off the camera, beyond 30 degrees in every other view, under
-    a dim constant sky. Candidates stand in the reference's frame. Views and noise depend on ``seed``
-    alone; only figures of one seed compare.
+    a dim constant sky. Candidates stand in the reference's frame.
 
     Parameters
     ----------
     reference : Asset
     candidates : mapping of str to Asset
-    n_views, resolution, spp : int
-        How many square images of how many pixels and samples per pixel.
-    seed : int
+    judging : Judging
     progress : callable, optional
         Told after every image, as stage "evaluate".
 
@@ -104,10 +92,10 @@ def compare_assets(
     """
     from ..scenes.views import held_out_views  # Mitsuba needs its variant by now, not on import
 
-    views = held_out_views(reference.bounds, n_views, resolution, seed)
-    target = Rendering(reference, PathTraced(reference, spp))
-    others = {name: Rendering(asset, PathTraced(asset, spp)) for name, asset in candidates.items()}
-    settings = {"spp": spp, "seed": seed, "max_depth": MAX_DEPTH, "sky": SKY}
+    views = held_out_views(reference.bounds, judging.n_views, judging.resolution, judging.seed)
+    target = Rendering(reference, PathTraced(reference, judging.spp))
+    others = {name: Rendering(asset, PathTraced(asset, judging.spp)) for name, asset in candidates.items()}
+    settings = {"spp": judging.spp, "seed": judging.seed, "max_depth": MAX_DEPTH, "sky": SKY}
     return compare_renderings(target, others, views, settings, progress)
 
 
@@ -233,84 +221,6 @@ class PathTraced:
         return image
 
 
-def save_comparison(comparison: Comparison, out: str | Path) -> dict[str, Path]:
-    """
-    Write ``metrics.json``, ``contact_sheet.png`` and ``views.npz`` into a folder, which is made where it is missing.
-
-    Returns
-    -------
-    dict
-        ``metrics``, ``contact_sheet`` and ``views``: the paths.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be written.
-    """
-    out = make_folder(out)
-    sheet = contact_sheet(comparison.reference, comparison.candidates, comparison.per_view)
-    text = json.dumps(comparison.figures, indent=2, allow_nan=False) + "\n"
-    images = {"reference": comparison.reference}
-    images |= {f"candidate_{k}": x for k, x in enumerate(comparison.candidates.values())}
-    packed: dict[str, Any] = {
-        name: np.concatenate([shown(x), _levels(x[..., 3:])], axis=3) for name, x in images.items()
-    }
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **packed)
-    return {
-        "contact_sheet": write_atomic(out / "contact_sheet.png", png(np.asarray(sheet))),
-        "views": write_atomic(out / VIEWS, stream.getvalue()),
-        "metrics": write_atomic(out / "metrics.json", text),
-    }
-
-
-def _levels(coverage: np.ndarray) -> np.ndarray:
-    """Coverage in 254 steps, so that one half is a level of its own."""
-    return np.rint(np.clip(coverage, 0, 1) * 254).astype(np.uint8)
-
-
-def load_comparison(folder: str | Path) -> Comparison:
-    """
-    What :func:`save_comparison` wrote, with images as precise as a screen shows them.
-
-    Raises
-    ------
-    OutputError
-        The folder holds no comparison, or a damaged one.
-    """
-    folder = Path(folder)
-    metrics, views = folder / "metrics.json", folder / VIEWS
-    if not metrics.is_file():
-        raise OutputError(f"{folder} holds no finished run; name a folder that simplify, run or compare has written")
-    if not views.is_file():
-        raise OutputError(f"{folder} has no {VIEWS}, the pictures of its held-out views; run or compare again")
-    try:
-        figures = json.loads(metrics.read_text(encoding="utf-8"))
-        reference, candidates = figures["reference"], figures["candidates"]
-        _ = reference["name"] + "", reference["triangles"] + 0, figures["settings"]["spp"]
-        lengths = [len(c["per_view"][key]) for c in candidates.values() for key in ("psnr", "flip", "silhouette_error")]
-        _ = [c[key] + 0.0 for c in candidates.values() for key in ("triangles", "psnr", "flip", "silhouette_error")]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        raise OutputError(f"{metrics} is damaged; run or compare again") from None
-    names = ["reference", *(f"candidate_{k}" for k in range(len(candidates)))]
-    try:
-        with np.load(io.BytesIO(views.read_bytes()), allow_pickle=False) as archive:
-            images = [_linear(archive[name]) for name in names]
-    except (OSError, EOFError, ValueError, LookupError, MemoryError, zipfile.BadZipFile, zlib.error):
-        raise OutputError(f"{views} is damaged; run or compare again") from None
-    if not candidates or {x.shape for x in images} != {images[0].shape} or {len(images[0])} != set(lengths):
-        raise OutputError(f"{views} does not belong to {metrics}; run or compare again")
-    return Comparison(images[0], dict(zip(candidates, images[1:], strict=True)), figures)
-
-
-def _linear(packed: np.ndarray) -> np.ndarray:
-    """Inverse of what :func:`save_comparison` does to images."""
-    if packed.dtype != np.uint8 or packed.ndim != 4 or packed.shape[3] != 4 or not packed.size:
-        raise ValueError("not a set of views")
-    color, coverage = srgb_to_linear(packed[..., :3] / 255.0), packed[..., 3:] / 254.0
-    return np.concatenate([color, coverage], axis=3).astype(np.float32)
-
-
 def evaluate(
     reference: Asset,
     candidates: Mapping[str, Asset],
@@ -327,6 +237,8 @@ def evaluate(
 
     Parameters
     ----------
+    n_views, resolution, spp, seed : int
+        As :class:`Judging` has them.
     out : str or Path, optional
         Folder for the files of :func:`save_comparison`; nothing is written without it.
 
@@ -337,9 +249,7 @@ def evaluate(
     """
     if out is not None:
         out = make_folder(out)  # a folder that cannot be written is found out before minutes of rendering
-    comparison = compare_assets(
-        reference, candidates, n_views=n_views, resolution=resolution, spp=spp, seed=seed, progress=progress
-    )
+    comparison = compare_assets(reference, candidates, Judging(n_views, resolution, spp, seed), progress)
     if out is not None:
         save_comparison(comparison, out)
     return comparison.figures

@@ -16,7 +16,7 @@ from ..scenes.asset import Asset
 from ..scenes.load import load_asset
 from ..scenes.read_mitsuba import SceneAsset
 from ..scenes.samples import sample_asset
-from .evaluate import Comparison, load_comparison
+from .comparison import Comparison, load_comparison
 from .html import write_report
 from .viewer import MOST_TRIANGLES
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..progress import ProgressCallback
 from ..scenes.asset import Asset, rig_of
-from .evaluate import MAX_DEPTH, SKY, Comparison, PathTraced, Rendering, compare_renderings
+from .comparison import Comparison
+from .evaluate import MAX_DEPTH, SKY, Judging, PathTraced, Rendering, compare_renderings
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
     from ..scenes.reference import Reference
@@ -23,11 +24,7 @@ def compare_characters(
     reference: Asset,
     candidates: Mapping[str, Asset],
     frames: np.ndarray,
-    *,
-    n_views: int = 8,
-    resolution: int = 256,
-    spp: int = 64,
-    seed: int = 0,
+    judging: Judging = Judging(),
     progress: ProgressCallback | None = None,
 ) -> Comparison:
     """
@@ -41,7 +38,7 @@ def compare_characters(
         Those with a rig are posed at the same seconds of their clip, others stand as they are.
     frames : ndarray, shape (N,)
         Of the reference's clip; spread over the views where there are more of them.
-    n_views, resolution, spp, seed, progress
+    judging, progress
         As for :func:`.evaluate.compare_assets`.
 
     Returns
@@ -49,19 +46,20 @@ def compare_characters(
     Comparison
         Its figures have ``per_frame`` lists besides, by the ``frames`` of the settings, and ``worst_frame`` [dB].
     """
-    frames = np.asarray(frames)[np.linspace(0, len(frames) - 1, min(n_views, len(frames))).astype(np.int64)]
-    shown = np.resize(frames, n_views)
-    views = _views(reference, shown, resolution, seed)
+    frames = np.asarray(frames)[np.linspace(0, len(frames) - 1, min(judging.n_views, len(frames))).astype(np.int64)]
+    shown = np.resize(frames, judging.n_views)
+    views = _views(reference, shown, judging.resolution, judging.seed)
     rig = rig_of(reference)
     others = {}
     for name, asset in candidates.items():
-        renderer: Reference = PathTraced(asset, spp)
+        renderer: Reference = PathTraced(asset, judging.spp)
         if asset.rig is not None:
             renderer = _Retimed(renderer, {f: asset.rig.frame_at(rig.times[int(f)]) for f in frames})
         others[name] = Rendering(asset, renderer)
     codes = [float(rig.codes[int(f)]) for f in shown]
-    settings = {"spp": spp, "seed": seed, "max_depth": MAX_DEPTH, "sky": SKY, "frames": codes}
-    comparison = compare_renderings(Rendering(reference, PathTraced(reference, spp)), others, views, settings, progress)
+    settings = {"spp": judging.spp, "seed": judging.seed, "max_depth": MAX_DEPTH, "sky": SKY, "frames": codes}
+    target = Rendering(reference, PathTraced(reference, judging.spp))
+    comparison = compare_renderings(target, others, views, settings, progress)
     rows = comparison.figures["candidates"]
     rows = {name: row | _per_frame(row["per_view"], shown, frames) for name, row in rows.items()}
     return replace(comparison, figures={**comparison.figures, "candidates": rows})

@@ -12,8 +12,8 @@ import html
 import numpy as np
 from PIL import Image
 
+from .comparison import Comparison
 from .embed import data_uri
-from .evaluate import Comparison
 from .metrics import COVERED
 from .pictures import Column, coverage_errors, flip_pictures, shown, signed_difference
 

@@ -18,8 +18,8 @@ from ..export.files import write_atomic
 from ..export.textures import to_8bit
 from ..scenes.asset import Asset
 from .chart import line_chart
+from .comparison import Comparison
 from .embed import json_block, script_hash, web_file
-from .evaluate import Comparison
 from .gallery import divider, grid, left_out, pictures
 from .pictures import BLUE, DIFFERENCE_GAIN, RED
 from .viewer import texture_sheets, viewer_data

@@ -18,7 +18,8 @@ from ..initial.weights import bone_weights, carried_weights
 from ..latent.model import Model
 from ..latent.rigging import Rigging
 from ..progress import ProgressCallback
-from ..report.evaluate import Comparison
+from ..report.comparison import Comparison
+from ..report.evaluate import Judging
 from ..report.frames import compare_characters
 from ..report.pruning import pruning_cost
 from ..scenes.asset import Asset, rig_of
@@ -83,20 +84,13 @@ class Character(Subject):
     def judge(
         self,
         candidates: Mapping[str, Asset],
-        *,
-        n_views: int = 8,
-        resolution: int = 256,
-        spp: int = 64,
-        seed: int = 0,
+        judging: Judging = Judging(),
         progress: ProgressCallback | None = None,
     ) -> Comparison:
         """
         See :class:`.subject.Subject`: candidates are posed in the same frames.
         """
-        return compare_characters(
-            self.geometry, candidates, self.judged,
-            n_views=n_views, resolution=resolution, spp=spp, seed=seed, progress=progress,
-        )  # fmt: skip
+        return compare_characters(self.geometry, candidates, self.judged, judging, progress)
 
 
 def _completed(config: Config) -> Config:

@@ -14,7 +14,8 @@ from ..config import Config
 from ..errors import AssetError, ConfigError
 from ..initial.visual_hull import mean_color, visual_hull
 from ..progress import ProgressCallback
-from ..report.evaluate import Comparison
+from ..report.comparison import Comparison
+from ..report.evaluate import Judging
 from ..scenes.asset import Asset
 from ..scenes.captured import Captured, read_captured
 from ..scenes.image_reference import ImageReference
@@ -73,19 +74,15 @@ class ImageSubject(Subject):
     def judge(
         self,
         candidates: Mapping[str, Asset],
-        *,
-        n_views: int = 8,
-        resolution: int = 256,
-        spp: int = 64,
-        seed: int = 0,
+        judging: Judging = Judging(),
         progress: ProgressCallback | None = None,
     ) -> Comparison:
         """
         Candidates in the light of the images, beside images that were not fitted.
         """
         reference = ImageReference(self.captured, 1.0, np.zeros(3), self._fitted, self._held_out)
-        views = reference.held_out(n_views, resolution)
-        settings = {"spp": spp, "seed": seed, "light": self.light, "held_out": len(self._held_out)}
+        views = reference.held_out(judging.n_views, judging.resolution)
+        settings = {"spp": judging.spp, "seed": judging.seed, "light": self.light, "held_out": len(self._held_out)}
         return self.compared(reference, candidates, views, settings, progress)
 
 

@@ -18,7 +18,8 @@ from ..initial import first_guess, quadrics_only
 from ..latent.harmonics import constant_environment, environment_coefficients
 from ..latent.model import Model, VertexSets
 from ..progress import ProgressCallback
-from ..report.evaluate import Comparison, Rendering, compare_assets, compare_renderings
+from ..report.comparison import Comparison
+from ..report.evaluate import Judging, Rendering, compare_assets, compare_renderings
 from ..report.portrait import in_frame, portrait_view, render_picture
 from ..scenes.asset import Asset
 from ..scenes.images import decode_image
@@ -136,11 +137,7 @@ class Subject:
     def judge(
         self,
         candidates: Mapping[str, Asset],
-        *,
-        n_views: int = 8,
-        resolution: int = 256,
-        spp: int = 64,
-        seed: int = 0,
+        judging: Judging = Judging(),
         progress: ProgressCallback | None = None,
     ) -> Comparison:
         """
@@ -150,15 +147,14 @@ class Subject:
         ----------
         candidates : mapping of str to Asset
             In the units of the input.
-        n_views, resolution, spp, seed, progress
+        judging, progress
             As in :func:`mi_simplify.report.compare_assets`.
         """
         if self.config.evaluation.light == "relit":
-            return compare_assets(
-                self.geometry, candidates, n_views=n_views, resolution=resolution, spp=spp, seed=seed, progress=progress
-            )
-        views = self.lit_as_fitted(held_out_views(self.geometry.bounds, n_views, resolution, seed))
-        return self.compared(self.renderer(spp), candidates, views, {"spp": spp, "seed": seed}, progress)
+            return compare_assets(self.geometry, candidates, judging, progress)
+        views = held_out_views(self.geometry.bounds, judging.n_views, judging.resolution, judging.seed)
+        settings = {"spp": judging.spp, "seed": judging.seed}
+        return self.compared(self.renderer(judging.spp), candidates, self.lit_as_fitted(views), settings, progress)
 
     def picture(self, frame: float | None = None, *, spp: int = 64, **view: Any) -> np.ndarray:
         """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mi_simplify.report.evaluate import Comparison
+from mi_simplify.report.comparison import Comparison
 from mi_simplify.report.html import write_report
 from mi_simplify.report.metrics import compare
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
