@@ -10,6 +10,7 @@ from mi_simplify.errors import MeshError
 from mi_simplify.initial.cards import cards, is_aggregate, lay_out
 from mi_simplify.initial.clusters import cluster_faces, pieces
 from mi_simplify.initial.crossing import crossing_cards
+from mi_simplify.initial.guess import first_guess
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 from mi_simplify.scenes.load import load_asset
 from mi_simplify.scenes.mitsuba_reference import make_reference
@@ -177,6 +178,12 @@ def test_plants_are_aggregates_and_the_relic_is_not():
     assert "pieces" in is_aggregate(sample_asset("shrub:20k"), 400)
     assert not is_aggregate(sample_asset("relic:20k"), 1000)
     assert not is_aggregate(leaves(30), 100)
+
+
+def test_who_makes_one_surface_of_a_plant_hears_of_cards(caplog):
+    _, notes = first_guess(sample_asset("shrub:20k"), triangles=400, atlas_size=64, textures="constant")
+    (hint,) = [note for note in notes if "--mode cards" in note]
+    assert "small separate pieces make up" in hint and hint in caplog.messages
 
 
 @pytest.mark.parametrize(

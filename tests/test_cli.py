@@ -60,6 +60,7 @@ BAD_ASSETS = {
     "missing": (lambda folder: "none.obj", "none.obj' does not exist"),
     "unreadable": (a_folder, "folder.obj' is no file"),
     "unknown format": (unknown_format, "unknown format '.fbx'"),
+    "an address": (lambda folder: "https://host.example/a.glb", "'https://host.example/a.glb' is an address"),
     "truncated": (truncated, "cut.glb"),
     "not a GLB": (lambda folder: (folder / "text.glb").write_text("hello") and "text.glb", "text.glb"),
     "empty": (lambda folder: (folder / "empty.obj").touch() or "empty.obj", "empty.obj' is empty"),
@@ -90,6 +91,7 @@ def test_a_triangle_budget_below_four_or_above_the_input(tmp_path, rejected):
     assert "budget of 9999 triangles is above the input's own 200 (92 vertices); ask for fewer" in (
         rejected("simplify", sphere, "-n", "9999", "-o", "out")
     )
+    assert "ask for fewer, as with --triangles 100" in rejected("simplify", sphere, "-o", "out")
 
 
 def test_a_mesh_to_start_from_that_cannot_be_used(tmp_path, rejected):

@@ -25,10 +25,12 @@ class PathMark:
 
 def names_no_file(text: str) -> bool:
     """
-    Whether an asset's name stands for a sample or for something in an importable module, not for a file.
+    Whether an asset's name stands for a sample or for something in an importable module, not for a file; or is an
+    address, which readers refuse.
     """
     match = CODE_NAME.match(text)
-    return text.startswith(SAMPLE_PREFIX) or (match is not None and not match["module"].endswith(".py"))
+    is_code = match is not None and not match["module"].endswith(".py")
+    return is_code or text.startswith(SAMPLE_PREFIX) or "://" in text
 
 
 def code_of(text: str) -> str:

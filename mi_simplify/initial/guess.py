@@ -17,7 +17,7 @@ from ..latent.tessellation import Tessellation, tessellated
 from ..machine.runtime import ensure_variant
 from ..scenes.asset import Asset
 from .bake import bake
-from .cards import cards
+from .cards import cards, is_aggregate
 from .cleanup import clean
 from .closest import ClosestPoints
 from .decimate import decimate
@@ -129,6 +129,10 @@ def first_guess(
         )  # fmt: skip
     else:
         if kind == "decimate":
+            why = is_aggregate(asset, _budget(triangles))
+            if why:
+                notes.append(f"{why}: textured cards (--mode cards) may show them better than one surface")
+                log.warning("%s", notes[-1])
             positions, faces, more = reduced(asset, _budget(triangles))
             notes += more
         else:
@@ -225,7 +229,7 @@ def reduced(asset: Asset, triangles: int) -> tuple[np.ndarray, np.ndarray, list[
     if triangles > asset.n_triangles:
         raise MeshError(
             f"a budget of {triangles} triangles is above the input's own {asset.n_triangles} "
-            f"({_n_positions(asset)} vertices); ask for fewer"
+            f"({_n_positions(asset)} vertices); ask for fewer, as with --triangles {max(4, asset.n_triangles // 2)}"
         )
     soup, notes = clean(merge(asset))
     ensure_variant()

@@ -91,9 +91,12 @@ def require(n_bytes: float, what: str, way_out: str) -> None:
     """
     room = _room()
     if room is not None and n_bytes > room:
-        limit = _LIMIT.get()
-        cause = "are free" if limit is None else f"are left of --memory-limit {shown_size(limit)}"
+        limit, now = _LIMIT.get(), held()
         need = f"{what} needs about {shown_size(n_bytes)} of memory"
+        if limit is not None and now is not None and now >= limit:
+            more = f"this process holds {shown_size(now)} already and --memory-limit is {shown_size(limit)}"
+            raise MemoryLimitError(f"{need}, but {more}; raise it to {shown_size(1.05 * (now + max(n_bytes, 0)))}")
+        cause = "are free" if limit is None else f"are left of --memory-limit {shown_size(limit)}"
         raise MemoryLimitError(f"{need}, {shown_size(max(room, 0))} {cause}; {way_out}")
 
 

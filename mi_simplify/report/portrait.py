@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import AssetError, OutputError
-from ..export.files import write_atomic
+from ..export.files import make_folder, write_atomic
 from ..export.textures import png
 from ..scenes.asset import Asset
 from ..scenes.mitsuba_reference import make_reference
@@ -106,9 +106,11 @@ def check_picture_path(path: str | Path) -> Path:
 
 def save_picture(image: np.ndarray, path: str | Path) -> Path:
     """
-    Write linear radiance, shape (H, W, 4), as sRGB PNG on black or as linear RGBA EXR.
+    Write linear radiance, shape (H, W, 4), as sRGB PNG on black or as linear RGBA EXR, into a folder that is made where
+    it is missing.
     """
     path = check_picture_path(path)
+    make_folder(path.parent)
     if path.suffix.lower() == ".png":
         return write_atomic(path, png(shown(image[None])[0]))
     return write_atomic(path, lambda temporary: mi.Bitmap(np.ascontiguousarray(image)).write(str(temporary)))

@@ -53,6 +53,8 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
     MemoryLimitError
         It does not fit into memory, or says that it would not.
     """
+    if "://" in str(path):
+        raise AssetError(f"the {purpose} '{path}' is an address, not a file; download it and name the file")
     path = Path(path)
     if not path.exists():
         raise AssetError(f"the {purpose} '{path}' does not exist")
@@ -61,7 +63,9 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
     suffix = path.suffix.lower()
     if suffix not in _READERS:
         known = ", ".join(s[1:].upper() for s in _READERS)
-        raise AssetError(f"the {purpose} '{path}' is of an unknown format '{suffix}'; known are {known}")
+        raise AssetError(
+            f"the {purpose} '{path}' is of an unknown format '{suffix}'; known are {known}; export it as one of these"
+        )
     if path.stat().st_size == 0:
         raise AssetError(f"the {purpose} '{path}' is empty")
     try:
