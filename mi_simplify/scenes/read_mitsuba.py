@@ -19,7 +19,8 @@ from .asset import Asset, Instance, Material, Part
 from .mapping import Mapping
 from .marching_cubes import marching_cubes
 from .mitsuba_file import Node, SceneFile
-from .mitsuba_material import Look, Materials, vertex_colors
+from .mitsuba_looks import Look
+from .mitsuba_material import Materials, vertex_colors
 from .resources import Resources
 from .shapes import mesh_faces, mesh_normals, mesh_positions, mesh_uvs
 from .tessellate import SHAPES, Patch

@@ -1,0 +1,227 @@
+"""
+What Mitsuba's BSDFs look like, one function a plugin, as far as a metallic-roughness material can say it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .mitsuba_field import Field, vectors
+from .mitsuba_file import Node
+
+if TYPE_CHECKING:
+    from .mitsuba_material import Materials
+
+
+@dataclass(frozen=True)
+class Look:
+    """
+    What a shape looks like, as fields over its texture coordinates.
+
+    Parameters
+    ----------
+    color : Field
+        Linear RGB.
+    gamma, roughness, metallic : Field
+    opacity : Field or None
+        None for opaque.
+    normal : Field or None
+        Vectors in tangent space; of the first UV direction and, as bitangent, the cross product of normal and tangent.
+    normal_follows_charts : bool
+        Whether the bitangent points up the image in mirrored charts too, as MikkTSpace has it.
+    cutoff : float
+        Opacity threshold, 0 for none.
+    at_vertices : bool
+        Whether the base colour is to be had at points of the shape only (vertex attributes, BSDFs unknown here).
+    has_surface : bool
+        False for ``null``, which bounds a medium.
+    """
+
+    color: Field = Field.constant(0.5, 0.5, 0.5)  # noqa: RUF009 (immutable)
+    gamma: Field = Field.constant(0.0)  # noqa: RUF009
+    roughness: Field = Field.constant(0.5)  # noqa: RUF009
+    metallic: Field = Field.constant(0.0)  # noqa: RUF009
+    opacity: Field | None = None
+    normal: Field | None = None
+    normal_follows_charts: bool = False
+    cutoff: float = 0.0
+    at_vertices: bool = False
+    has_surface: bool = True
+
+
+def texture_transform(texture: Node) -> np.ndarray:
+    """
+    The transform of coordinates of a texture, shape (2, 3).
+    """
+    if "to_uv" not in texture.values:
+        return np.eye(2, 3)
+    numbers = np.array(texture.values["to_uv"].matrix, np.float64).reshape(-1)
+    m = numbers.reshape(int(round(len(numbers) ** 0.5)), -1)
+    return np.column_stack([m[:2, :2], m[:2, -1]])
+
+
+WHITE = Field.constant(1.0, 1.0, 1.0)
+
+#: Mitsuba's default BSDF, Lambert alone.
+DEFAULT = Look(roughness=Field.constant(1.0))
+
+
+def _diffuse(node: Node, materials: Materials) -> Look:
+    return materials.base(node, "reflectance", roughness=DEFAULT.roughness)
+
+
+def _roughness(node: Node, materials: Materials) -> Field:
+    """Perceptual roughness from α, that of both axes where there are two."""
+    if "alpha_u" in node.values or node.child("alpha_u"):
+        materials.note(node, "is anisotropic; it starts isotropic")
+        alphas = [materials.scalar(node, "alpha_u", 0.1), materials.scalar(node, "alpha_v", 0.1)]
+        return Field.of(lambda a, b: np.sqrt(np.sqrt(np.maximum(a * b, 0))), *alphas)
+    return Field.of(lambda a: np.sqrt(np.maximum(a, 0)), materials.scalar(node, "alpha", 0.1))
+
+
+def _plastic(node: Node, materials: Materials) -> Look:
+    roughness = Field.constant(0.0) if node.plugin == "plastic" else _roughness(node, materials)
+    materials.note(node, "starts as Lambert and GGX of reflectance 0.04")
+    return materials.base(node, "diffuse_reflectance", roughness=roughness)
+
+
+def _conductor(node: Node, materials: Materials) -> Look:
+    def at_normal_incidence(eta: np.ndarray, k: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        return scale * ((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)
+
+    inputs = [materials.color(node, n, d) for n, d in (("eta", 0.0), ("k", 1.0), ("specular_reflectance", 1.0))]
+    roughness = Field.constant(0.0) if node.plugin == "conductor" else _roughness(node, materials)
+    return Look(color=Field.of(at_normal_incidence, *inputs), roughness=roughness, metallic=Field.constant(1.0))
+
+
+def _dielectric(node: Node, materials: Materials) -> Look:
+    materials.note(node, "lets light through by refraction; it starts opaque and grey")
+    rough = node.plugin == "roughdielectric"
+    return Look(roughness=_roughness(node, materials) if rough else Field.constant(0.0))
+
+
+#: Lobes of `principled` that have no counterpart here.
+_LOBES = ("anisotropic", "clearcoat", "sheen", "spec_tint", "spec_trans", "flatness", "diff_trans")
+
+
+def _principled(node: Node, materials: Materials) -> Look:
+    left_out = [name for name in _LOBES if name in node.values or node.child(name)]
+    if left_out:
+        materials.note(node, f"starts without its {', '.join(left_out)}")
+    specular = node.values.get("specular", 0.5)
+    if "eta" in node.values:
+        eta = node.values["eta"]
+        specular = ((eta - 1) / (eta + 1)) ** 2 / 0.08
+    return materials.base(
+        node,
+        "base_color",
+        gamma=Field.constant(float(np.clip(1 - 2 * specular, 0, 1))),  # F0 = 0.08 specular = 0.04 (1 - γ)
+        roughness=materials.scalar(node, "roughness", 0.5),
+        metallic=materials.scalar(node, "metallic", 0.0),
+    )
+
+
+def _ggx_gamma(node: Node, materials: Materials) -> Look:
+    if node.values.get("form", "gltf") != "gltf":
+        materials.note(
+            node, f"mixes its lobes in the form '{node.values['form']}'; see `latent.shading` for the result's"
+        )
+    normal = node.child("normal_map")
+    return materials.base(
+        node,
+        "base_color",
+        gamma=materials.scalar(node, "gamma", 0.0),
+        roughness=materials.scalar(node, "roughness", 0.5),
+        metallic=materials.scalar(node, "metallic", 0.0),
+        opacity=materials.scalar(node, "opacity", 1.0),
+        normal=None if normal is None else _normals(normal, materials),
+        normal_follows_charts=True,
+        cutoff=float(node.values.get("opacity_cutoff", 0.0)),
+    )
+
+
+def _normals(texture: Node, materials: Materials) -> Field:
+    field = vectors(materials.file.make(texture), texture_transform(texture))
+    return Field.of(lambda rgb: 2 * rgb - 1, field)
+
+
+def _twosided(node: Node, materials: Materials) -> Look:
+    if len(node.of_kind("BSDF")) > 1:
+        materials.note(node, "has a BSDF for each side; both start as its front")
+    return materials.nested(node)
+
+
+def _mask(node: Node, materials: Materials) -> Look:
+    return replace(materials.nested(node), opacity=materials.scalar(node, "opacity", 0.5))
+
+
+def _normalmap(node: Node, materials: Materials) -> Look:
+    texture = node.child("normalmap")
+    assert texture is not None, "Mitsuba has made this BSDF, so it has its map"
+    return replace(materials.nested(node), normal=_normals(texture, materials))
+
+
+def _bumpmap(node: Node, materials: Materials) -> Look:
+    materials.note(node, "starts without its bump map")
+    return materials.nested(node)
+
+
+def _blend(node: Node, materials: Materials) -> Look:
+    first, second = (materials.look(bsdf) for bsdf in node.of_kind("BSDF")[:2])
+    weight = materials.scalar(node, "weight", 0.5)
+    materials.note(node, "is a blend of two BSDFs; it starts with the blend of their parameters")
+
+    def mixed(a: Field, b: Field) -> Field:
+        return Field.of(lambda x, y, w: x + (y - x) * w, a, b, weight)
+
+    one = Field.constant(1.0)
+    see_through = first.opacity is not None or second.opacity is not None
+    return Look(
+        color=mixed(first.color, second.color),
+        gamma=mixed(first.gamma, second.gamma),
+        roughness=mixed(first.roughness, second.roughness),
+        metallic=mixed(first.metallic, second.metallic),
+        opacity=mixed(first.opacity or one, second.opacity or one) if see_through else None,
+        normal=first.normal,
+        normal_follows_charts=first.normal_follows_charts,
+        at_vertices=first.at_vertices and second.at_vertices,
+    )
+
+
+def _null(node: Node, materials: Materials) -> Look:
+    return Look(has_surface=False)
+
+
+def unknown(node: Node, materials: Materials) -> Look:
+    """
+    The look of a plugin that is not in :data:`LOOKS`.
+    """
+    materials.note(node, "has no counterpart; it starts with its diffuse reflectance at the vertices")
+    return Look(color=WHITE, at_vertices=True)
+
+
+#: By plugin.
+LOOKS: dict[str, Callable[[Node, Materials], Look]] = {
+    "diffuse": _diffuse,
+    "plastic": _plastic,
+    "roughplastic": _plastic,
+    "pplastic": _plastic,
+    "conductor": _conductor,
+    "roughconductor": _conductor,
+    "dielectric": _dielectric,
+    "roughdielectric": _dielectric,
+    "thindielectric": _dielectric,
+    "principled": _principled,
+    "principledthin": _principled,
+    "ggx_gamma": _ggx_gamma,
+    "twosided": _twosided,
+    "mask": _mask,
+    "normalmap": _normalmap,
+    "bumpmap": _bumpmap,
+    "blendbsdf": _blend,
+    "null": _null,
+}
