@@ -1,13 +1,13 @@
 """
 Every setting with its type, range, default and meaning: one frozen model per section of the YAML.
 
-The defaults stand here and nowhere else. Lengths are in the normalised frame (the asset's box has
-side 2 and centre 0), angles in degrees, colours linear.
+The defaults stand in this folder and nowhere else, those of larger sections in modules of their own. Lengths are in the
+normalised frame (the asset's box has side 2 and centre 0), angles in degrees, colours linear.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -15,32 +15,14 @@ from .ambient import Ambient
 from .animation import Animation
 from .images import Images
 from .implicit import Implicit
+from .initial import Initial
 from .opacity import Opacity
+from .optimizer import Loss, Optimizer
 from .section import FilePath as FilePath
 from .section import PathMark as PathMark
 from .section import Section as Section
-from .section import Triple
+from .section import Triple, as_list, distinct, not_empty
 
-
-def _as_list(value: Any) -> Any:
-    """A single value stands for a list of one."""
-    return tuple(value) if isinstance(value, list | tuple) else (value,)
-
-
-def _not_empty(value: tuple) -> tuple:
-    if not value:
-        raise ValueError("should hold at least one value")
-    return value
-
-
-def _distinct(value: tuple) -> tuple:
-    if len(set(value)) != len(value):
-        raise ValueError("should name nothing twice")
-    return value
-
-
-Pixels = Annotated[int, Field(ge=8, le=8192)]
-Resolutions = Annotated[tuple[Pixels, ...], BeforeValidator(_as_list), AfterValidator(_not_empty)]
 Quantity = Literal[
     "vertices",
     "displacement",
@@ -53,11 +35,9 @@ Quantity = Literal[
     "metallic",
     "normal",
 ]
-Quantities = Annotated[tuple[Quantity, ...], BeforeValidator(_as_list), AfterValidator(_distinct)]
+Quantities = Annotated[tuple[Quantity, ...], BeforeValidator(as_list), AfterValidator(distinct)]
 Format = Literal["glb", "obj", "usd"]
-Formats = Annotated[
-    tuple[Format, ...], BeforeValidator(_as_list), AfterValidator(_not_empty), AfterValidator(_distinct)
-]
+Formats = Annotated[tuple[Format, ...], BeforeValidator(as_list), AfterValidator(not_empty), AfterValidator(distinct)]
 
 
 class Reference(Section):
@@ -94,88 +74,6 @@ class Reference(Section):
         for name, given in (("environment", self.environment is not None), ("scene_lights", self.scene_lights)):
             if given and self.transport != "baked":
                 raise ValueError(f"`{name}` lights the reference alone, so it needs `transport: baked`")
-        return self
-
-
-class Initial(Section):
-    """The first guess."""
-
-    kind: Literal["decimate", "cards", "sphere", "mesh"] = Field(
-        "decimate",
-        description="Decimate the asset, put its leaves on textured cards, start from a sphere, or take the mesh of a "
-        "file.",
-    )
-    triangles: int | None = Field(
-        None, ge=4, description="Triangle budget of the result; none: 3000, or as many as `mesh` has."
-    )
-    mesh: FilePath | None = Field(
-        None,
-        description="Mesh file to start from, in the asset's place and size; only with `kind: mesh`. Its textures are "
-        "not read, its texture coordinates are kept where they do not overlap.",
-    )
-    source: FilePath | None = Field(
-        None,
-        description="Model that `kind: decimate` reduces and bakes from, instead of the asset, in its place.",
-    )
-    keep_uv: bool = Field(
-        False, description="Refuse a `mesh` whose texture coordinates cannot be kept instead of unwrapping it anew."
-    )
-    repair: bool = Field(
-        True,
-        description="Mend a damaged `mesh` by the asset before it is fitted: pieces that came off, stray vertices, "
-        "lost volume; only where `vertices` are fitted.",
-    )
-    atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
-    crease_angle: float = Field(
-        20.0,
-        ge=0,
-        le=180,
-        description="Edges of the first guess that turn by more than this get two normals [degrees]; 180: all smooth.",
-    )
-    textures: Literal["bake", "constant", "random"] = Field(
-        "bake", description="Sample them from the asset, fill them with its mean, or with noise."
-    )
-    vertex_sets: int = Field(
-        1,
-        ge=1,
-        le=8,
-        description="Sets of vertex positions over one topology, for sizes that halve from `optimizer.resolution` down "
-        "and are blended between them; needs `optimizer.least_resolution`.",
-    )
-    subdivisions: int = Field(
-        0,
-        ge=0,
-        le=5,
-        description="Split every triangle in four so many times and displace what comes of it by a map; `triangles` "
-        "are those before.",
-    )
-    tessellations: Annotated[tuple[Annotated[int, Field(ge=0, le=5)], ...], BeforeValidator(_as_list)] = Field(
-        (),
-        description="Subdivisions, up to `subdivisions`, that a displaced model is fitted for at once; none: that one.",
-    )
-    oversample: Literal[1, 2, 4, 8] = Field(
-        1,
-        description="Bake textures of so many times the side and filter them down, the spread of the normals below a "
-        "texel becoming roughness.",
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _usual_budget(cls, data: Any) -> Any:
-        if isinstance(data, dict) and data.get("triangles") is None and data.get("kind") != "mesh":
-            return {**data, "triangles": 3000}
-        return data
-
-    @model_validator(mode="after")
-    def _mesh_is_named(self) -> Initial:
-        if (self.kind == "mesh") != (self.mesh is not None):
-            raise ValueError("`kind: mesh` and `mesh: FILE` go together, only one of them is set")
-        if self.tessellations and max(self.tessellations) != self.subdivisions:
-            raise ValueError("the largest of `tessellations` is `subdivisions`; set both")
-        if self.source is not None and self.kind != "decimate":
-            raise ValueError("`source` is what `kind: decimate` reduces, which is not set")
-        if self.keep_uv and self.mesh is None:
-            raise ValueError("`keep_uv` is about the texture coordinates of `mesh: FILE`, which is not set")
         return self
 
 
@@ -223,73 +121,6 @@ class Views(Section):
     background: Literal["random", "black"] = Field(
         "random", description="`random`: one random colour per pixel, the same behind both images."
     )
-
-
-class Rates(Section):
-    """Learning rates at the start."""
-
-    vertices: float = Field(0.001, ge=0, description="Vertex positions: the typical step.")
-    vertex_sets: float = Field(0.001, ge=0, description="Further vertex sets: the typical step.")
-    displacement: float = Field(0.0005, ge=0, description="Displacement map: the typical step.")
-    skinning: float = Field(0.03, ge=0, description="Logarithms of skinning weights.")
-    base_color: float = Field(0.001, ge=0, description="Base colour and opacity.")
-    specular: float = Field(0.001, ge=0, description="Gamma, roughness and metallic.")
-    normal: float = Field(0.001, ge=0, description="Normal map.")
-    ambient: float = Field(0.01, ge=0, description="Ambient light.")
-
-
-class LargeSteps(Section):
-    """Vertices through the diffusion of Nicolet et al. 2021."""
-
-    enabled: bool = Field(True, description="Precondition vertex gradients by (I + lambda L); off: plain Adam.")
-    lambda_: float = Field(0.3, ge=0, description="Diffusion strength: 0.2 to 0.5 on a decimated mesh, 19 on a sphere.")
-
-
-class Optimizer(Section):
-    """The optimisation loop."""
-
-    steps: int = Field(600, ge=0, description="Number of steps; 0 exports the first guess.")
-    batch: int = Field(8, ge=1, le=1024, description="Views per step.")
-    resolution: Resolutions = Field(
-        (256,), description="Image width and height [px], or a list of them from coarse to fine."
-    )
-    target_resolution: Pixels | None = Field(
-        None,
-        description="Prefilter: make the model for images of this size, where one sample per pixel is to show what "
-        "many show of the asset. Resolution, batch, samples, textures and `shade` then have other defaults.",
-    )
-    least_resolution: Pixels | None = Field(
-        None,
-        description="Random resolutions from `resolution` down to this one, a step's pixels staying as many; none: "
-        "`resolution` alone.",
-    )
-    spp: int = Field(2, ge=1, le=65536, description="Samples per pixel of a latent image.")
-    shade: Literal["sample", "pixel"] = Field(
-        "sample",
-        description="Shade every sample, or only one in each pixel: more samples then make outlines smooth, but not "
-        "what textures and normals make of a pixel.",
-    )
-    rates: Rates = Rates()
-    decay: float = Field(0.05, gt=0, le=1, description="Factor by which the rates fall over the whole run.")
-    large_steps: LargeSteps = LargeSteps()
-
-
-class Laplacian(Section):
-    """The mesh regulariser."""
-
-    weight: float = Field(0.25, ge=0, description="Share of the image loss at the start; 0: off.")
-    relative: bool = Field(True, description="Penalise the difference to the first guess instead of curvature itself.")
-    decay_to: float = Field(0.02, ge=0, le=1, description="Factor by which the weight falls over the whole run.")
-
-
-class Loss(Section):
-    """What is minimised."""
-
-    image: Literal["log_l1", "l1", "l2", "log_l2", "smape", "relative_l2"] = Field(
-        "log_l1", description="Image loss; `log_l1` compares tone-mapped log(x + 1)."
-    )
-    coverage: float = Field(3.0, ge=0, description="Weight of the coverage (silhouette) term.")
-    laplacian: Laplacian = Laplacian()
 
 
 class Evaluation(Section):

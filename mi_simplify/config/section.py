@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -51,6 +51,31 @@ def _as_tuple(value: object) -> object:
 
 Triple = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 Box = Annotated[tuple[tuple[float, float, float], tuple[float, float, float]], BeforeValidator(_as_tuple)]
+
+
+def as_list(value: Any) -> Any:
+    """
+    As a tuple; a single value stands for a list of one.
+    """
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
+def not_empty(value: tuple) -> tuple:
+    """
+    Refuse an empty list.
+    """
+    if not value:
+        raise ValueError("should hold at least one value")
+    return value
+
+
+def distinct(value: tuple) -> tuple:
+    """
+    Refuse a list that names something twice.
+    """
+    if len(set(value)) != len(value):
+        raise ValueError("should name nothing twice")
+    return value
 
 
 class Section(BaseModel):

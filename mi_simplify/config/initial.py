@@ -1,0 +1,93 @@
+"""
+The first guess in the configuration.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from .section import FilePath, Section, as_list
+
+
+class Initial(Section):
+    """The first guess."""
+
+    kind: Literal["decimate", "cards", "sphere", "mesh"] = Field(
+        "decimate",
+        description="Decimate the asset, put its leaves on textured cards, start from a sphere, or take the mesh of a "
+        "file.",
+    )
+    triangles: int | None = Field(
+        None, ge=4, description="Triangle budget of the result; none: 3000, or as many as `mesh` has."
+    )
+    mesh: FilePath | None = Field(
+        None,
+        description="Mesh file to start from, in the asset's place and size; only with `kind: mesh`. Its textures are "
+        "not read, its texture coordinates are kept where they do not overlap.",
+    )
+    source: FilePath | None = Field(
+        None,
+        description="Model that `kind: decimate` reduces and bakes from, instead of the asset, in its place.",
+    )
+    keep_uv: bool = Field(
+        False, description="Refuse a `mesh` whose texture coordinates cannot be kept instead of unwrapping it anew."
+    )
+    repair: bool = Field(
+        True,
+        description="Mend a damaged `mesh` by the asset before it is fitted: pieces that came off, stray vertices, "
+        "lost volume; only where `vertices` are fitted.",
+    )
+    atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
+    crease_angle: float = Field(
+        20.0,
+        ge=0,
+        le=180,
+        description="Edges of the first guess that turn by more than this get two normals [degrees]; 180: all smooth.",
+    )
+    textures: Literal["bake", "constant", "random"] = Field(
+        "bake", description="Sample them from the asset, fill them with its mean, or with noise."
+    )
+    vertex_sets: int = Field(
+        1,
+        ge=1,
+        le=8,
+        description="Sets of vertex positions over one topology, for sizes that halve from `optimizer.resolution` down "
+        "and are blended between them; needs `optimizer.least_resolution`.",
+    )
+    subdivisions: int = Field(
+        0,
+        ge=0,
+        le=5,
+        description="Split every triangle in four so many times and displace what comes of it by a map; `triangles` "
+        "are those before.",
+    )
+    tessellations: Annotated[tuple[Annotated[int, Field(ge=0, le=5)], ...], BeforeValidator(as_list)] = Field(
+        (),
+        description="Subdivisions, up to `subdivisions`, that a displaced model is fitted for at once; none: that one.",
+    )
+    oversample: Literal[1, 2, 4, 8] = Field(
+        1,
+        description="Bake textures of so many times the side and filter them down, the spread of the normals below a "
+        "texel becoming roughness.",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _usual_budget(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("triangles") is None and data.get("kind") != "mesh":
+            return {**data, "triangles": 3000}
+        return data
+
+    @model_validator(mode="after")
+    def _mesh_is_named(self) -> Initial:
+        if (self.kind == "mesh") != (self.mesh is not None):
+            raise ValueError("`kind: mesh` and `mesh: FILE` go together, only one of them is set")
+        if self.tessellations and max(self.tessellations) != self.subdivisions:
+            raise ValueError("the largest of `tessellations` is `subdivisions`; set both")
+        if self.source is not None and self.kind != "decimate":
+            raise ValueError("`source` is what `kind: decimate` reduces, which is not set")
+        if self.keep_uv and self.mesh is None:
+            raise ValueError("`keep_uv` is about the texture coordinates of `mesh: FILE`, which is not set")
+        return self
