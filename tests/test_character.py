@@ -10,6 +10,7 @@ from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdUtils, UsdValidation
 
 from mi_simplify import cli
 from mi_simplify.config import load_config
+from mi_simplify.config.presets import STARTS
 from mi_simplify.errors import ConfigError
 from mi_simplify.export import export_model
 from mi_simplify.fitting import Run
@@ -173,8 +174,9 @@ def test_weights_follow_the_bones_while_a_sphere_is_fitted():
     """A vertex that moves to another bone is that bone's, unless what is optimised says otherwise."""
     sphere = open_subject(load_config(None, [WALKER, *SMALL, "initial.kind=sphere"]))
     assert sphere.config.optimizer.rates.vertices == 0.05 and sphere.config.optimizer.large_steps.lambda_ == 4
-    own = load_config(None, [WALKER, *SMALL, "initial.kind=sphere", "optimizer.rates.vertices=0.3"])
-    assert open_subject(own).config.optimizer.rates.vertices == 0.3
+    for rate in (0.3, STARTS["sphere"]["optimizer"]["rates"]["vertices"]):  # whatever it is, if somebody states it
+        own = load_config(None, [WALKER, *SMALL, "initial.kind=sphere", f"optimizer.rates.vertices={rate}"])
+        assert open_subject(own).config.optimizer.rates.vertices == rate
     guess = sphere.guess()[0]
     rigging, operation = guess.skin, Latent(guess).operation
     moved = 0.6 * guess.mesh.positions

@@ -40,6 +40,11 @@ def load_config(
     preset : str or None
         One of ``PRESETS``; wins over a ``preset`` key of the layers.
 
+    Returns
+    -------
+    Config
+        Preset, file and overrides count as stated, see ``Section.started``; what else they bring along does not.
+
     Raises
     ------
     ConfigError
@@ -60,7 +65,7 @@ def load_config(
             hint = nearest(str(name), PRESETS)
             raise ConfigError(f"preset: unknown preset {name!r:.60}{hint}; one of {', '.join(PRESETS)}")
         merged = _merge(PRESETS[name], merged)
-    initial = merged.get("initial")
+    given, initial = merged, merged.get("initial")
     kind = initial.get("kind") if isinstance(initial, Mapping) else None
     if isinstance(kind, str):
         merged = _merge(STARTS.get(kind, {}), merged)
@@ -71,7 +76,7 @@ def load_config(
     if isinstance(target, int) and 8 <= target <= 8192:
         merged = _merge(prefiltering(target), merged)
     try:
-        return Config.model_validate(merged)
+        return Config.model_validate(merged).stating(given)
     except ValidationError as error:
         raise ConfigError(describe(error)) from None
 

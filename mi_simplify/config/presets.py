@@ -44,7 +44,7 @@ def prefiltering(target: int) -> dict[str, Any]:
 
 
 STARTS: dict[str, dict[str, Any]] = {
-    # By `initial.kind`; `images` for a `transforms.json`.
+    # By `initial.kind`; `images` for a `transforms.json`; of a character on top of `sphere`, once its file is read.
     # A sphere has a long way to go: outlines pull most, on the surface as a whole, coarse to fine.
     "sphere": {
         "initial": {"textures": "constant"},
@@ -55,6 +55,8 @@ STARTS: dict[str, dict[str, Any]] = {
         },
         "loss": {"coverage": 10.0, "laplacian": {"weight": 0.0}},
     },
+    # Smaller steps, and less smooth ones, than for a thing at rest, so that it keeps thin limbs.
+    "sphere of a character": {"optimizer": {"rates": {"vertices": 0.05}, "large_steps": {"lambda_": 4.0}}},
     # Of images: their hull has the outlines, but no hollows and no colours.
     "images": {
         "initial": {"textures": "constant", "crease_angle": 180.0},

@@ -51,7 +51,7 @@ def markdown() -> str:
         lines += rows
     for title, intro, sets in (
         ("Presets", "What each preset sets, everything else keeps its default.", PRESETS),
-        ("Starts", "What another `initial.kind`, or images, set, below the preset and the file.", STARTS),
+        ("Starts", "What another `initial.kind`, images, or a character set, below the preset and the file.", STARTS),
     ):
         lines += ["", f"## {title}", "", intro]
         for name, overrides in sets.items():

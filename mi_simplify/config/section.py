@@ -5,8 +5,9 @@ What all sections of the configuration share: their strictness, and the types th
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -84,3 +85,19 @@ class Section(BaseModel):
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    def stating(self, given: Mapping[str, Any]) -> Self:
+        """
+        The same values, of which only those that ``given`` names, nested as in YAML, count as stated by somebody.
+        """
+        copy = self.model_copy(update={n: v.stating(given.get(n, {})) for n, v in self if isinstance(v, Section)})
+        copy.model_fields_set.intersection_update(given)
+        return copy
+
+    def started(self, values: Mapping[str, Any]) -> Self:
+        """
+        With these values, nested as in YAML and valid, for keys that nobody has stated.
+        """
+        nested = {name: getattr(self, name).started(v) for name, v in values.items() if isinstance(v, Mapping)}
+        plain = {name: v for name, v in values.items() if name not in nested and name not in self.model_fields_set}
+        return self.model_copy(update=nested | plain)

@@ -44,7 +44,9 @@ class Character(Subject):
     """
 
     def __init__(self, config: Config, geometry: Asset):
-        super().__init__(_completed(config), geometry)
+        if config.initial.kind == "sphere":
+            config = config.started(STARTS["sphere of a character"])
+        super().__init__(config, geometry)
         self.fitted, self.judged = split_frames(rig_of(geometry), config.animation)
 
     def guess(self) -> tuple[Model, list[str]]:
@@ -91,26 +93,6 @@ class Character(Subject):
         See :class:`.subject.Subject`: candidates are posed in the same frames.
         """
         return compare_characters(self.geometry, candidates, self.judged, judging, progress)
-
-
-def _completed(config: Config) -> Config:
-    """
-    A sphere that becomes a character is moved in smaller steps, and less smoothly, than one that becomes a thing at
-    rest, so that it keeps thin limbs; where the settings are not somebody's own.
-    """
-    usual, optimizer = STARTS["sphere"]["optimizer"], config.optimizer
-    if config.initial.kind != "sphere":
-        return config
-    rates, large_steps = optimizer.rates, optimizer.large_steps
-    if rates.vertices == usual["rates"]["vertices"]:
-        rates = rates.model_copy(update={"vertices": _SPHERE_RATE})
-    if large_steps.lambda_ == usual["large_steps"]["lambda_"]:
-        large_steps = large_steps.model_copy(update={"lambda_": _SPHERE_DIFFUSION})
-    optimizer = optimizer.model_copy(update={"rates": rates, "large_steps": large_steps})
-    return config.model_copy(update={"optimizer": optimizer})
-
-
-_SPHERE_RATE, _SPHERE_DIFFUSION = 0.05, 4.0
 
 
 def split_frames(rig: Rig, animation: Animation) -> tuple[np.ndarray, np.ndarray]:
