@@ -1,0 +1,225 @@
+"""
+The commands that make something: models, levels of detail, forests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .console import prepare, shown
+from .options import (
+    DRY_RUN,
+    FRAMES,
+    JOB,
+    KEEP_UV,
+    OUT,
+    OVERWRITE,
+    QUIET,
+    RESUME,
+    TENSORBOARD,
+    VARIANT,
+    animation,
+    default_folder,
+)  # fmt: skip
+
+
+@click.command()
+@click.argument("asset")
+@click.option("--triangles", "-n", type=click.IntRange(min=4), help="Triangle budget of the result.")
+@click.option("--init", metavar="MESH", help="Start from this low-poly mesh file, or from a 'sphere'.")
+@click.option(
+    "--mode",
+    type=click.Choice(["mesh", "cards", "auto"]),
+    default="mesh",
+    show_default=True,
+    help="What the result is made of: one surface, textured cards for foliage, or what suits the asset.",
+)
+@KEEP_UV
+@FRAMES
+@click.option("--bind-pose-only", is_flag=True, help="Fit a character in its bind pose alone.")
+@OUT
+@click.option("--config", metavar="YAML", help="Settings to start from.")
+@JOB
+@OVERWRITE
+@RESUME
+@TENSORBOARD
+@DRY_RUN
+@QUIET
+def simplify(
+    asset, triangles, init, mode, keep_uv, frames, bind_pose_only, out, config, settings, **options
+) -> None:  # fmt: skip
+    """
+    Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
+    an implicit surface.
+    """
+    initial: dict[str, Any] = {} if triangles is None else {"triangles": triangles}
+    if init is not None:
+        initial |= {"kind": "sphere", "mesh": None} if init == "sphere" else {"kind": "mesh", "mesh": init}
+    if keep_uv:
+        initial["keep_uv"] = True
+    if mode != "mesh":
+        if init is not None:
+            raise click.UsageError(f"--mode {mode} makes a first guess of its own, so it does not go with --init")
+        initial |= {"kind": _mode(mode, asset, triangles, config, settings, options)}
+    chosen = {"asset": asset, "initial": initial, "animation": animation(frames, bind_pose_only)}
+    _run(config, out or default_folder(asset), [*settings, chosen], **options)
+
+
+def _mode(mode: str, asset: str, triangles: int | None, config, settings, options) -> str:
+    """The kind of first guess for a mode; says what was found where that decides."""
+    if mode == "cards":
+        return "cards"
+    from ..config import load_config
+
+    given: dict[str, Any] = {} if triangles is None else {"initial": {"triangles": triangles}}
+    wanted = load_config(config, [*settings, {"asset": asset}, given], options["preset"])
+    prepare(options["variant"])
+    from ..initial import is_aggregate
+    from ..subjects import open_subject
+
+    why = is_aggregate(open_subject(wanted).geometry, wanted.initial.triangles or 3000)
+    if not options["quiet"]:
+        print(f"aggregate geometry: {why}: cards" if why else "no aggregate geometry: one surface")
+    return "cards" if why else "decimate"
+
+
+@click.command()
+@click.argument("asset")
+@click.option("--triangles", "-n", metavar="N,N,…", required=True, help="Budgets, falling, such as 9000,3000,1000.")
+@OUT
+@click.option("--config", metavar="YAML", help="Settings of every level.")
+@click.option("--preset", metavar="NAME", help="fast, balanced or best.")
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Override a config key; repeatable.")
+@click.option(
+    "--threshold", type=click.FloatRange(0, 1, min_open=True), default=0.04, show_default=True,
+    help="FLIP between two levels, over what they cover, below which a switch is not seen.",
+)  # fmt: skip
+@click.option("--msft-lod", is_flag=True, help="Also write lods.glb: all levels, with MSFT_lod.")
+@click.option("--usd", is_flag=True, help="Also write lods.usda: all levels, with UsdLod and a variant set.")
+@VARIANT
+@OVERWRITE
+@QUIET
+def lod(asset, triangles, out, config, preset, settings, threshold, msft_lod, usd, variant, overwrite, quiet) -> None:
+    """
+    Make a chain of levels of detail from ASSET, each for the size on the screen at which it takes over.
+    """
+    from ..config import load_config
+    from ..errors import ConfigError
+
+    try:
+        budgets = [int(text) for text in triangles.split(",")]
+    except ValueError:
+        raise ConfigError(f"--triangles: '{triangles}' is no list of numbers such as 9000,3000,1000") from None
+    chosen: dict[str, Any] = {"asset": asset} if variant is None else {"asset": asset, "variant": variant}
+
+    def configure(keys):
+        return load_config(config, [*settings, chosen, keys], preset)
+
+    prepare(configure({}).variant)
+    from ..jobs.chain import lod_job
+
+    extras = [name for name, wanted in (("msft_lod", msft_lod), ("usd", usd)) if wanted]
+    with shown(quiet) as progress:
+        chain = lod_job(
+            configure, budgets, out or default_folder(asset.removeprefix("sample:")), progress,
+            threshold=threshold, extras=extras, overwrite=overwrite,
+        )  # fmt: skip
+    if not quiet:
+        print(chain.summary())
+
+
+@click.command()
+@click.argument("config")
+@OUT
+@JOB
+@OVERWRITE
+@RESUME
+@TENSORBOARD
+@DRY_RUN
+@QUIET
+def run(config, out, settings, **options) -> None:
+    """
+    Run the job that the YAML file CONFIG describes.
+    """
+    _run(config, out or default_folder(config), settings, **options)
+
+
+def _run(
+    config, out, overrides, *,
+    preset, variant, fixed_shape, normal_only, skip, memory_limit, tensorboard, dry_run, overwrite, resume, quiet,
+) -> None:  # fmt: skip
+    from ..config import load_config, without
+    from ..machine.memory import limited, parse_size
+
+    chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
+    if tensorboard:
+        chosen["export"] = {"tensorboard": True}
+    if normal_only:
+        chosen["latent"] = {"optimize": ["normal"]}
+    names = [name.strip() for text in skip for name in text.split(",")] + ["shape"] * fixed_shape
+    settings = without(load_config(config, [*overrides, chosen], preset), names)
+    prepare(settings.variant)
+    from ..jobs.forecast import forecast
+    from ..jobs.job import run_job
+
+    job: Callable[..., Any] = forecast if dry_run else run_job
+    with limited(parse_size(memory_limit) if memory_limit else None), shown(quiet) as progress:
+        result = job(settings, out, progress, overwrite=overwrite, resume=resume)
+    if dry_run or not quiet:
+        print(result.summary())
+
+
+@click.command()
+@click.argument("reference")
+@click.argument("lowpoly")
+@KEEP_UV
+@OUT
+@click.option("--atlas-size", type=click.IntRange(16, 8192), default=1024, show_default=True, help="Texture side.")
+@VARIANT
+@OVERWRITE
+@QUIET
+def bake(reference, lowpoly, keep_uv, out, atlas_size, variant, overwrite, quiet) -> None:
+    """
+    Bake the look of REFERENCE into textures for LOWPOLY, a mesh of yours in the same place.
+    """
+    prepare(variant)
+    from ..jobs.job import bake_job
+
+    with shown(quiet) as progress:
+        files = bake_job(
+            reference, lowpoly, out or default_folder(lowpoly), progress,
+            keep_uv=keep_uv, atlas_size=atlas_size, variant=variant, overwrite=overwrite,
+        )  # fmt: skip
+    if not quiet:
+        print("\n".join(str(path) for path in files.values()))
+
+
+@click.command()
+@click.argument("config")
+@OUT
+@click.option("--instances", type=click.IntRange(1, 1_000_000), help="How many copies, instead of what CONFIG says.")
+@click.option("--environment", metavar="HDR", help="Environment map, instead of what CONFIG says.")
+@click.option("--gpu-instancing", is_flag=True, help="Also write the copies as GLB files (EXT_mesh_gpu_instancing).")
+@OVERWRITE
+@QUIET
+def forest(config, out, instances, environment, gpu_instancing, overwrite, quiet) -> None:
+    """
+    Path trace thousands of copies of the plants in the YAML file CONFIG, and of their approximations.
+    """
+    from ..config.forest import load_forest
+
+    wanted = load_forest(config)
+    changes = {"instances": instances, "environment": environment and str(Path(environment).resolve())}
+    wanted = wanted.model_copy(update={key: value for key, value in changes.items() if value is not None})
+    prepare(None)
+    from ..jobs.forest import render_forest, summary
+
+    folder = out or default_folder(config)
+    with shown(quiet) as progress:
+        figures = render_forest(wanted, folder, progress, gpu_instancing=gpu_instancing, overwrite=overwrite)
+    if not quiet:
+        print(summary(figures, folder))

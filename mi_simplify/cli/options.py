@@ -1,0 +1,67 @@
+"""
+Options that several commands share, and what they stand for.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+def combined(*parts: Callable) -> Callable:
+    """
+    Several click options as one decorator.
+    """
+    return lambda command: functools.reduce(lambda f, option: option(f), reversed(parts), command)
+
+
+VARIANT = click.option("--variant", metavar="NAME", help="Mitsuba variant: llvm_ad_rgb or cuda_ad_rgb.")
+MEMORY = click.option("--memory-limit", metavar="SIZE", help="Refuse what takes more memory than this, such as 4GB.")
+JOB = combined(
+    click.option("--preset", metavar="NAME", help="fast, balanced or best."),
+    click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Override a config key; repeatable."),
+    click.option("--fixed-shape", is_flag=True, help="Fit textures alone; no vertex moves."),
+    click.option("--normal-only", is_flag=True, help="Fit the normal map alone."),
+    click.option(
+        "--skip",
+        metavar="NAMES",
+        multiple=True,
+        help="Leave these as the first guess has them, such as kd,orm: shape, kd (base_color, opacity), "
+        "orm (gamma, roughness, metallic), normal.",
+    ),
+    MEMORY,
+    VARIANT,
+)
+KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")
+OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
+FRAMES = click.option(
+    "--frames", metavar="FIRST:LAST[:STEP]", help="Part of a character's clip, in the frame numbers of its file."
+)
+OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the run that OUT holds.")
+DRY_RUN = click.option("--dry-run", is_flag=True, help="Say what would be done, its time and memory; write nothing.")
+TENSORBOARD = click.option("--tensorboard", is_flag=True, help="Also log for TensorBoard, into OUT/tensorboard.")
+RESUME = click.option("--resume", is_flag=True, help="Go on with the unfinished run that OUT holds.")
+QUIET = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+
+
+def animation(frames: str | None, bind_pose_only: bool = False) -> dict[str, Any]:
+    """
+    What the options say of a character.
+    """
+    out: dict[str, Any] = {} if frames is None else {"frames": frames}
+    return out | ({"bind_pose_only": True} if bind_pose_only else {})
+
+
+def default_folder(name: str) -> Path:
+    """
+    Of an asset: out/NAME; images are called as their folder is.
+    """
+    from ..config import code_of
+
+    name = code_of(name) or name.removeprefix("sample:")
+    path = Path(name)
+    return Path("out", path.absolute().parent.name if path.name.startswith("transforms") else path.stem)
