@@ -150,7 +150,7 @@ def test_in_the_bind_pose_weights_stay(subject, guess):
     model = bound.guess()[0]
     run = Run(model, bound.reference(), config)
     run.step()
-    assert set(run.fit.held_out.frame.numpy()) == {-1}
+    assert set(run.fit.held_out.views.frame.numpy()) == {-1}
     np.testing.assert_array_equal(run.fit.model().skin.weights, model.skin.weights)
     assert list(bound.judged) == list(subject.judged)  # of both kinds of fit, the same frames
 

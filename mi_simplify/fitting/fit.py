@@ -19,13 +19,13 @@ from ..latent.latent import Latent
 from ..latent.model import Model
 from ..latent.surface import Surface
 from ..latent.textures import Textures
-from ..machine.upload import upload
 from ..scenes.reference import OwnViews, Reference
 from ..scenes.views import Views, goniometer
 from .ambient import AmbientSteps
 from .follow import following
+from .held_out import HeldOut
 from .laplacian import Laplacian
-from .losses import frame_loss, image_loss, srgb
+from .losses import frame_loss, image_loss
 from .pool import ViewPool
 from .residual import PathResidual
 from .schedules import exponential, laplacian_weight, resolution_at
@@ -98,17 +98,7 @@ class Fit:
             for draw, n in ((sized, config.optimizer.batch), (draw, 1))
         )
         self.pool = ViewPool(reference, of_batch, config.reference.pool, np.random.default_rng(config.seed), residual)
-        held_out = config.evaluation
-        resolution = min(held_out.resolution, max(config.optimizer.resolution))
-        n_held_out = min(held_out.views, 8)
-        if isinstance(reference, OwnViews):
-            self.held_out = reference.held_out(n_held_out, resolution)
-        else:
-            rng = np.random.default_rng(config.seed + 1)
-            self.held_out = Views.concatenate(of_one(n_held_out, rng, resolution))
-        images = np.mean([reference.render(self.held_out, seed=k + 1) for k in range(_HELD_OUT_RENDERS)], axis=0)
-        self._unknown = np.isnan(images).any(axis=3)[..., None]
-        self._held_out_images = np.where(self._unknown, 0, images)
+        self.held_out = HeldOut(reference, of_one, config)
 
     def step(self, index: int) -> mi.Float:
         """
@@ -201,7 +191,7 @@ class Fit:
         reference, current : ndarray, shape (1, H, W, 4), float32
             Linear radiance on black, and coverage; lit directly where the fit adds the rest as a constant.
         """
-        return self._held_out_images[:1], self._look(self.held_out.take(np.arange(1)))
+        return self.held_out.images[:1], self._look(self.held_out.views.take(np.arange(1)))
 
     def judge(self) -> tuple[float, float]:
         """
@@ -214,16 +204,12 @@ class Fit:
         psnr : float
             Of clipped sRGB on black, mean over views [dB].
         """
-        image = np.mean([self._look(self.held_out, k + 1) for k in range(_HELD_OUT_LOOKS)], axis=0)
-        seed = dr.opaque(mi.UInt32, 1)
+        views = self.held_out.views
+        image = np.mean([self._look(views, k + 1) for k in range(_HELD_OUT_LOOKS)], axis=0)
         if self.pool.residual is not None:
-            image = image + np.nan_to_num(self.pool.residual.render(self.held_out, 1))
-        image = np.where(self._unknown, 0, image)
-        ours, theirs = (upload(mi.Vector4f, x.reshape(-1, 4)) for x in (image, self._held_out_images))
-        loss, _ = frame_loss(ours, theirs, self._background(dr.width(ours), seed), self.loss, self._coverage)
-        a, b = (srgb(dr.clip(x.xyz, 0, 1)).numpy().T.reshape(len(image), -1) for x in (ours, theirs))
-        mse = ((a - b) ** 2).mean(1)
-        return float(loss[0]), float(np.mean(-10 * np.log10(np.maximum(mse, 1e-10))))
+            image = image + np.nan_to_num(self.pool.residual.render(views, 1))
+        background = self._background(image[..., 0].size, dr.opaque(mi.UInt32, 1))
+        return self.held_out.measure(image, background, self.loss, self._coverage)
 
     def model(self) -> Model:
         """
@@ -304,9 +290,8 @@ def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance, po
 #: Steps between two renewals of the pool: fewer, larger ones cost less.
 REFRESH_EVERY = 16
 
-#: Renderings of the held-out views that are averaged, by the reference (each of ``reference.spp``) and of the current
-#: state (each of 16 samples): their noise must be less than what a step near the optimum gains.
-_HELD_OUT_RENDERS, _HELD_OUT_LOOKS = 4, 2
+#: Renderings of the held-out views, each of 16 samples, that are averaged, see ``held_out.RENDERS``.
+_HELD_OUT_LOOKS = 2
 
 #: Steepness of a mask that is judged: nearly what files show.
 _STEP = 64.0
