@@ -147,7 +147,7 @@ def test_a_coarser_tessellation_on_the_finest_topology_is_the_same_surface():
     height = {"displacement": upload(mi.Float, latent.operation.parameters["displacement"])}
     images = []
     for level in (1, 2, 3):
-        shown = replace(views, frame=mi.Float(level))
+        shown = replace(views, subdivisions=mi.Float(level))
         positions = latent.operation.positions(base, height, shown)
         renderer.move(positions)
         surface = latent.evaluate(positions, base, height, shown)
@@ -162,8 +162,8 @@ def test_a_fit_for_several_tessellations_draws_views_of_each():
     displacement = Displacement(np.zeros((4, 4), np.float32), 3, (1, 3))
     draw = tessellating(lambda n, rng, size: [goniometer(n, rng, width=size, height=size)], displacement, 2)
     parts = draw(8, np.random.default_rng(0), 16)
-    assert sorted((int(v.frame.numpy()[0]), len(v)) for v in parts) == [(1, 4), (3, 4)]
-    assert all(np.ptp(v.frame.numpy()) == 0 for v in parts)
+    assert sorted((int(v.subdivisions.numpy()[0]), len(v)) for v in parts) == [(1, 4), (3, 4)]
+    assert all(np.ptp(v.subdivisions.numpy()) == 0 for v in parts)
 
 
 def test_a_displaced_model_from_the_command_line(tmp_path):

@@ -172,7 +172,7 @@ class Fit:
         out = np.empty((len(views), views.height, views.width, 4), np.float32)
         self._cut(_STEP)
         beyond = 0.0
-        for index, part in views.by_frame():
+        for index, part in views.by_shape():
             _, surface = self._moved(part)
             with dr.suspend_grad():
                 lit, opaque_seed = part.under(self.ambient.value), dr.opaque(mi.UInt32, seed)

@@ -24,8 +24,8 @@ class ViewPool:
     """
     A ring of views with their reference images.
 
-    Views of one *instant* share the frame of the animation and the film size, so that one surface and one kernel shows
-    all of them; a batch is of one instant.
+    Views of one *instant* share the frame of the animation, the tessellation and the film size, so that one surface and
+    one kernel shows all of them; a batch is of one instant.
 
     Parameters
     ----------
@@ -141,14 +141,14 @@ class ViewPool:
         ``n·H·W``: ``n`` of them, or, where they are smaller than the pool's resolution, as many as have no more pixels.
         Instants come up as often as there are pixels of them.
         """
-        instants = [tuple(view[key] for key in ("frame", "width", "height")) for view in self._views]
-        pixels = np.cumsum([width * height for _, width, height in instants])
+        instants = [(v["width"], v["height"], v["frame"], v.get("subdivisions")) for v in self._views]
+        pixels = np.cumsum([width * height for width, height, *_ in instants])
         instant = instants[np.searchsorted(pixels, self.rng.integers(pixels[-1]), side="right")]
         same = [k for k, other in enumerate(instants) if other == instant]
-        n = max(n, int(n * self.resolution**2 / (instant[1] * instant[2])))
+        n = max(n, int(n * self.resolution**2 / (instant[0] * instant[1])))
         pick = self.rng.choice(same, size=n, replace=len(same) < n)
         arrays = {key: np.stack([self._views[i][key] for i in pick]) for key in self._views[0]}
-        views = Views.from_arrays(arrays, int(instant[1]), int(instant[2]))
+        views = Views.from_arrays(arrays, int(instant[0]), int(instant[1]))
         planes = np.stack([self._images[i] for i in pick], axis=1)  # (4 or 8, n, H·W)
         planes = planes.reshape(len(planes), -1)
         half = dr.float16_array_t(mi.Vector4f)  # kernels that read it convert

@@ -56,7 +56,7 @@ class PathResidual:
         Residual radiance, shape (B, height, width, 4); coverage is 0.
         """
         residual = np.empty((len(views), views.height, views.width, 4), np.float32)
-        for index, part in views.by_frame():
+        for index, part in views.by_shape():
             residual[index] = self._rendered(part, seed)
         return residual
 

@@ -14,7 +14,7 @@ from ..scenes.views import Views
 
 def tessellating(draw: Callable, displacement: Displacement | None, per_level: int) -> Callable:
     """
-    A function that draws views of all tessellations that a model is fitted for, which they hold as their ``frame``.
+    A function that draws views of all tessellations that a model is fitted for: their ``subdivisions``.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ def tessellating(draw: Callable, displacement: Displacement | None, per_level: i
         out = []
         for views in draw(n, rng, resolution):
             arrays = views.arrays()
-            frame = levels[(np.arange(len(views)) // per_level + rng.integers(len(levels))) % len(levels)]
-            for level in np.unique(frame):
-                some = {key: value[frame == level] for key, value in (arrays | {"frame": frame}).items()}
+            shown = levels[(np.arange(len(views)) // per_level + rng.integers(len(levels))) % len(levels)]
+            for level in np.unique(shown):
+                some = {key: value[shown == level] for key, value in (arrays | {"subdivisions": shown}).items()}
                 out.append(Views.from_arrays(some, views.width, views.height))
         return out
 

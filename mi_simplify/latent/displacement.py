@@ -25,9 +25,10 @@ class Displaced:
 
     Where a texture seam runs, a position has two texture coordinates and takes the mean of both: no crack opens.
 
-    Fitted for several tessellations at once, views say by their ``frame`` which one they show. A coarser one is made on
-    the topology of the finest all the same, whose further vertices then lie in the middle of the coarse edges, and have
-    the means of the coarse normals, tangents and texture coordinates: the same surface, to the bit of its image.
+    Fitted for several tessellations at once, views say by their ``subdivisions`` which one they show. A coarser one is
+    made on the topology of the finest all the same, whose further vertices then lie in the middle of the coarse edges,
+    and have the means of the coarse normals, tangents and texture coordinates: the same surface, to the bit of its
+    image.
 
     Parameters
     ----------
@@ -79,9 +80,9 @@ class Displaced:
 
     def _level(self, views: Views | None) -> int:
         """Subdivisions that views show; reads them where there is a choice."""
-        if views is None or not self._coarser:
+        if views is None or views.subdivisions is None or not self._coarser:
             return len(self._edges)
-        level = int(views.frame.numpy()[0])
+        level = int(views.subdivisions.numpy()[0])
         return level if level in self._coarser else len(self._edges)
 
     def surface(

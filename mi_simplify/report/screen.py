@@ -50,7 +50,7 @@ class Screen:
         with dr.suspend_grad():
             base = mi.Float(operation.base.positions.ravel())
             parameters = {name: mi.Float(value) for name, value in operation.parameters.items()}
-            for index, part in views.by_frame():
+            for index, part in views.by_shape():
                 positions = operation.positions(base, parameters, part)
                 self.renderer.move(positions)
                 surface = self.latent.evaluate(positions)

@@ -54,7 +54,7 @@ class AnimatedReference:
         See :class:`.reference.Reference`; views of one frame are rendered together.
         """
         out = np.empty((len(views), views.height, views.width, 4), np.float32)
-        for k, (index, part) in enumerate(views.by_frame()):
+        for k, (index, part) in enumerate(views.by_shape()):
             self._pose(float(part.frame[0]))
             out[index] = self.reference.render(part, (seed * len(views) + k) % 2**32)
         return out

@@ -33,11 +33,12 @@ class Views:
     width, height : int
         Film size [pixels].
     frame : mi.Float, width B
-        Time of the animation frame; of a displaced model that is fitted for several tessellations, its subdivisions;
-        0 for what does not move.
+        Time of the animation frame; 0 for what does not move.
     ambient : mi.Float, optional
         Light besides the point lights, the same in all views, flat: (r, g, b) of an ambient term, see
         :mod:`..latent.ambient`. Only the latent renderer looks at it, and only :meth:`under` sets it.
+    subdivisions : mi.Float, width B, optional
+        How finely a displaced model that is fitted for several tessellations is shown; without it as finely as it can.
     """
 
     origin: mi.Point3f
@@ -51,6 +52,7 @@ class Views:
     width: int
     height: int
     ambient: mi.Float | None = None
+    subdivisions: mi.Float | None = None
 
     def __len__(self) -> int:
         return dr.width(self.tan_x)
@@ -62,11 +64,13 @@ class Views:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """
-        The same in NumPy: ``origin right up forward light_position light_intensity`` (B, 3), ``tan_x frame`` (B,).
+        The same in NumPy: ``origin right up forward light_position light_intensity`` (B, 3), ``tan_x frame`` (B,), and
+        ``subdivisions`` (B,) where there are any.
         """
         names = ("origin", "right", "up", "forward", "light_position", "light_intensity")
         out = {name: getattr(self, name).numpy().T for name in names}
-        return out | {"tan_x": self.tan_x.numpy(), "frame": self.frame.numpy()}
+        out |= {"tan_x": self.tan_x.numpy(), "frame": self.frame.numpy()}
+        return out if self.subdivisions is None else out | {"subdivisions": self.subdivisions.numpy()}
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray], width: int, height: int) -> Views:
@@ -85,6 +89,7 @@ class Views:
             frame=upload(mi.Float, arrays["frame"]),
             width=width,
             height=height,
+            subdivisions=upload(mi.Float, arrays["subdivisions"]) if "subdivisions" in arrays else None,
         )
 
     def take(self, index: np.ndarray) -> Views:
@@ -93,14 +98,14 @@ class Views:
         """
         return Views.from_arrays({k: v[index] for k, v in self.arrays().items()}, self.width, self.height)
 
-    def by_frame(self) -> list[tuple[np.ndarray, Views]]:
+    def by_shape(self) -> list[tuple[np.ndarray, Views]]:
         """
-        Indices, and the views themselves, of each frame of the animation in turn.
+        Indices, and the views themselves, of each frame of the animation and each tessellation in turn.
         """
-        frames = self.frame.numpy()
-        if len(self) == 0 or (frames == frames[0]).all():
+        states = np.column_stack([x.numpy() for x in (self.frame, self.subdivisions) if x is not None])
+        if len(self) == 0 or (states == states[0]).all():
             return [(np.arange(len(self)), self)]
-        groups = [np.flatnonzero(frames == frame) for frame in np.unique(frames)]
+        groups = [np.flatnonzero((states == state).all(1)) for state in np.unique(states, axis=0)]
         return [(group, self.take(group)) for group in groups]
 
     def under(self, ambient: mi.Float | None) -> Views:
