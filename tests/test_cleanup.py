@@ -7,7 +7,7 @@ import pytest
 
 from mi_simplify.errors import MeshError
 from mi_simplify.initial.cleanup import clean
-from mi_simplify.initial.manifold import edge_pairs, split_nonmanifold, winding_flips
+from mi_simplify.initial.manifold import edge_pairs, winding_flips
 from mi_simplify.initial.soup import merge
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
@@ -134,19 +134,6 @@ def test_a_moebius_strip_is_left_alone():
     f = np.concatenate([np.stack([i, low, high], 1), np.stack([i, high, n + i], 1)])
     flip, twisted = winding_flips(p, f)
     assert twisted == 1 and not flip.any()
-
-
-def test_non_manifold_edges_and_touching_fans_are_cut():
-    p, f = sphere(20)
-    book = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, 1, 0], [-1, -1, 0]], float)
-    origin, cut = split_nonmanifold(book, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]]))
-    assert len(origin) == 9 and sides(cut).tolist() == [9]
-    # two closed surfaces that touch in one vertex
-    twin = f + len(p)
-    twin[twin == len(p)] = 0
-    origin, cut = split_nonmanifold(np.concatenate([p, p]), np.concatenate([f, twin]))
-    assert len(origin) == 2 * len(p) and sides(cut).tolist() == [0, 60]
-    assert np.array_equal(origin[cut], np.concatenate([f, twin]))
 
 
 def test_nothing_to_simplify_is_said_so():

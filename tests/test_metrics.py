@@ -6,7 +6,7 @@ import flip_evaluator
 import numpy as np
 import pytest
 
-from mi_simplify.report.metrics import compare, flip, flip_maps, psnr, silhouette_error, tonemap, worse_than
+from mi_simplify.report.metrics import compare, flip, flip_maps, psnr, silhouette_error, tonemap
 
 
 @pytest.fixture
@@ -64,12 +64,6 @@ def test_flip_is_zero_for_equal_images_and_grows(images):
     worse = a + 3 * (b - a)
     assert (flip(a, worse) > flip(a, b)).all() and (flip(a, b) > 0).all()
     assert flip_maps(a, b).shape == (3, 32, 48)
-
-
-def test_worse_than_names_what_got_worse():
-    base = {"psnr": 30.0, "flip": 0.02, "silhouette_error": 0.01}
-    assert worse_than({"psnr": 30.0, "flip": 0.02, "silhouette_error": 0.01}, base) == []
-    assert worse_than({"psnr": 29.0, "flip": 0.01, "silhouette_error": 0.02}, base) == ["psnr", "silhouette_error"]
 
 
 def test_images_of_different_shapes_are_refused():

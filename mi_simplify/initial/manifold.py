@@ -1,5 +1,5 @@
 """
-Which faces of a triangle set are neighbours, which way they are wound, and where the surface is no manifold.
+Which faces of a triangle set are neighbours, and which way they are wound.
 """
 
 from __future__ import annotations
@@ -112,30 +112,3 @@ def _enclosed(corners: np.ndarray, sheet: np.ndarray, closed: np.ndarray, s: int
     angle = 2 * np.arctan2(numerator, denominator)
     turns = np.abs(np.bincount(sheet[others], angle, len(closed))) / (4 * np.pi)
     return bool(np.round(turns).astype(int).sum() % 2)
-
-
-def split_nonmanifold(positions: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Cut the surface open along edges of more than two faces, and apart at vertices where fans only touch.
-
-    Corners are joined across edges that have exactly two faces, and nothing else (Guéziec et al. 2001).
-
-    Returns
-    -------
-    origin : ndarray, shape (Q,)
-        The position that each new one is a copy of; the surface is ``positions[origin]``.
-    faces : ndarray, shape (F, 3)
-        Indices into ``origin``.
-    """
-    n_faces = len(faces)
-    left, right = manifold_neighbours(faces)
-    start = faces.T.ravel()
-    end = np.roll(np.arange(3 * n_faces).reshape(3, n_faces), -1, axis=0).ravel()  # half-edge that follows in its face
-    same = start[left] == start[right]
-    rows = np.concatenate([left, end[left]])
-    cols = np.concatenate([np.where(same, right, end[right]), np.where(same, end[right], right)])
-    graph = coo_array((np.ones(len(rows), bool), (rows, cols)), shape=(3 * n_faces,) * 2)
-    n, label = connected_components(graph, directed=False)
-    origin = np.zeros(n, np.int64)
-    origin[label] = start
-    return origin, label.reshape(3, n_faces).T

@@ -30,9 +30,6 @@ from ..scenes.views import held_out_views
 from ..subjects import open_subject
 from .job import run_job
 
-#: What is written besides a GLB of every level and ``lod.json``.
-EXTRAS = ("msft_lod", "usd")
-
 #: A level that is to be seen in larger images than this is an ordinary run: one sample shows it well [pixels].
 LARGEST_FILM = 512
 

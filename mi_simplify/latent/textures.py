@@ -121,11 +121,6 @@ class Textures:
         height, width = self.size(level)
         return -(-width // TILE) * -(-height // TILE) * TILE**2
 
-    @property
-    def n_texels(self) -> int:
-        """Texels of the finest level."""
-        return self.width * self.height
-
     def place(self, row, column, width=None):
         """
         Where a texel of a level of that width, by default the finest one's, is stored, counted in texels from the

@@ -7,8 +7,6 @@ definitions of the project's judge, so the figures can be set beside its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import flip_evaluator
 import numpy as np
 
@@ -130,14 +128,6 @@ def compare(reference: np.ndarray, candidate: np.ndarray) -> dict[str, object]:
         "silhouette_error": silhouette_error(a[..., 3], b[..., 3]),
         "per_view": per_view,
     }
-
-
-def worse_than(figures: Mapping[str, float], baseline: Mapping[str, float]) -> list[str]:
-    """
-    Names of the figures in which ``figures`` loses to ``baseline``; empty where it is worse in nothing.
-    """
-    better_high = {"psnr": True, "flip": False, "silhouette_error": False}
-    return [k for k, high in better_high.items() if (figures[k] < baseline[k] if high else figures[k] > baseline[k])]
 
 
 def _pair(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

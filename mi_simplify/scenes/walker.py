@@ -33,7 +33,6 @@ _JOINTS = (
     ("shin_r", "thigh_r", (-0.1, 0.48, 0.0)),
 )
 _NUMBER = {name: j for j, (name, _, _) in enumerate(_JOINTS)}
-_PLACE = {name: np.array(place) for name, _, place in _JOINTS}
 
 
 def walker(detail: float) -> Asset:
