@@ -203,6 +203,17 @@ def test_overwriting_removes_what_the_earlier_run_left(tmp_path):
     assert (tmp_path / "log.jsonl").read_text() == '{"step": 1}\n'
 
 
+def test_a_replaced_run_takes_its_textures_with_it_and_nobody_elses(tmp_path):
+    (tmp_path / "displacement").mkdir()
+    for name in ("model_normal.png", "model.mtl", "displacement/height.png"):
+        (tmp_path / name).write_text("old")
+    with RunFolder(tmp_path).opened() as folder:
+        assert files(tmp_path) == {"model_normal.png", "model.mtl", "displacement", "displacement/height.png"}
+        folder.log(step=1)
+    with RunFolder(tmp_path, overwrite=True).opened():
+        assert files(tmp_path) == set()
+
+
 # ------------------------------------------------------------------ this machine
 
 

@@ -189,6 +189,8 @@ def test_a_displaced_model_from_the_command_line(tmp_path):
     levels = np.asarray(Image.open(out / "displacement" / "height.png")).astype(float)
     exact = np.array(mi.Bitmap(str(out / "displacement" / "height.exr"))).reshape(levels.shape)
     assert levels.max() == 65535 and facts["subdivisions"] == 2
+    label = f"displacement, {facts['low']:.3g} (black) to {facts['high']:.3g} (white)"
+    assert f"<figcaption>{label}, {len(levels)} × {len(levels)}</figcaption>" in (out / "report.html").read_text()
     assert np.allclose(facts["low"] + levels / 65535 * (facts["high"] - facts["low"]), exact, atol=1e-4)
     stage = Usd.Stage.Open(str(out / "displacement" / "base.usdc"))
     surface = UsdShade.Shader(next(p for p in stage.Traverse() if p.GetName() == "surface"))

@@ -319,11 +319,13 @@ def test_a_line_that_was_cut_off_is_left_out_of_the_curves(judged, caplog):
         ("views.npz", b"PK\x03\x04nothing", "views.npz is damaged"),
         ("views.npz", b"", "views.npz is damaged"),
         ("config.yaml", b"\xff\xfe", "config.yaml is damaged"),
+        ("displacement/displacement.json", b"{}", "displacement is damaged"),
     ],
 )
 def test_a_damaged_folder_is_one_line(judged, name, content, message):
     (judged / name).unlink(missing_ok=True)
     if content is not None:
+        (judged / name).parent.mkdir(exist_ok=True)
         (judged / name).write_bytes(content)
     with pytest.raises(OutputError, match=message) as error:
         report_folder(judged)

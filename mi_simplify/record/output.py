@@ -29,6 +29,9 @@ MARKS = (
 )  # fmt: skip
 """What only a run of ours leaves behind; a folder with one of these holds a run."""
 
+BESIDES = ("model.mtl", "model_*.png", "displacement", "mips")
+"""What goes with a run when it is replaced, and may be anybody's elsewhere."""
+
 _STAGE = ".writing-"
 
 
@@ -107,8 +110,9 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
             for unfinished in self.path.glob(f"{_STAGE}*"):
                 _remove(unfinished)
-            for name in () if self.resume else MARKS:
-                _remove(self.path / name)
+            for name in () if self.resume or not self.holds_run() else (*MARKS, *BESIDES):
+                for path in self.path.glob(name):
+                    _remove(path)
         except OSError as error:
             raise OutputError(f"cannot write {self.path}: {error.strerror}; choose another -o") from None
         try:

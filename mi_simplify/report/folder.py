@@ -10,9 +10,12 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from ..config import SAMPLE_PREFIX
-from ..errors import OutputError
+from ..errors import OutputError, UserError
 from ..scenes.asset import Asset
+from ..scenes.images import decode_image
 from ..scenes.load import load_asset
 from ..scenes.read_mitsuba import SceneAsset
 from ..scenes.samples import sample_asset
@@ -68,6 +71,7 @@ def report_folder(folder: str | Path, assets: Mapping[str, Asset] | None = None)
         models={labels.get(name, name): asset for name, asset in models.items()},
         settings=_text(folder / "config.yaml"),
         log=_log(folder / "log.jsonl"),
+        maps=_displacement(folder / "displacement"),
         files=sorted(path for path in folder.iterdir() if path.name.startswith("model")),
         notes=figures.get("run", {}).get("notes", ()),
     )
@@ -103,6 +107,19 @@ def _load(source: str | None, folder: Path) -> Asset | None:
         return sample_asset(source.removeprefix(SAMPLE_PREFIX))
     places = [folder / Path(source).name, Path(source)] if source else []
     return next((load_asset(path) for path in places if path.is_file()), None)
+
+
+def _displacement(folder: Path) -> dict[str, np.ndarray]:
+    """The map of a displaced model, from black to white; nothing where there is none."""
+    if not (folder / "displacement.json").is_file():
+        return {}
+    try:
+        facts = json.loads(_text(folder / "displacement.json"))
+        height = decode_image((folder / "height.png").read_bytes(), "height.png", "the displacement map")
+        label = f"displacement, {facts['low']:.3g} (black) to {facts['high']:.3g} (white)"
+    except (UserError, OSError, ValueError, LookupError, TypeError):
+        raise OutputError(f"{folder} is damaged; remove it to have a report without it") from None
+    return {label: (height[..., 0] >> 8).astype(np.uint8)}
 
 
 def _text(path: Path) -> str:

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .. import __version__
 from ..export.files import write_atomic
 from ..export.textures import to_8bit
@@ -59,6 +61,7 @@ def report_page(
     title: str,
     summary: str = "",
     models: Mapping[str, Asset] | None = None,
+    maps: Mapping[str, np.ndarray] | None = None,
     settings: str = "",
     log: Sequence[Mapping] = (),
     files: Iterable[str | Path] = (),
@@ -75,6 +78,8 @@ def report_page(
         Heading, and a sentence below it.
     models : mapping of str to Asset, optional
         What turns in 3D, all in one frame; the last one is looked at first, and its textures are shown.
+    maps : mapping of str to ndarray, optional
+        8-bit pictures, shown with the textures under their names.
     settings : str
         As they stand in ``config.yaml``.
     log : sequence of mapping
@@ -94,7 +99,10 @@ def report_page(
         _cards(figures, log) if is_fit else table,
         f'<div class="pair">{beside}{turning}</div>',
         _section("views", "Held-out views", grid(columns, names), _views_hint(figures) + left_out(comparison)),
-        *(_section("textures", f"Textures of {name}", texture_sheets(asset)) for name, asset in [*models.items()][-1:]),
+        *(
+            _section("textures", f"Textures of {name}", texture_sheets(asset, maps or {}))
+            for name, asset in [*models.items()][-1:]
+        ),
         table if is_fit else "",
         _section("curves", "Course of the fit", _curves(log)),
         _section("notes", "Notes", _notes(notes)),

@@ -72,9 +72,9 @@ def sheets(material: Material, size: int = TEXTURE_SIZE) -> dict[str, Sheet]:
     return out
 
 
-def texture_sheets(asset: Asset) -> str:
+def texture_sheets(asset: Asset, maps: Mapping[str, np.ndarray]) -> str:
     """
-    Markup of the textures of a model's materials, each channel a figure.
+    Markup of the textures of a model's materials, each channel a figure, and of ``maps`` (8-bit) under their names.
     """
     materials = _materials(asset)
     figures = []
@@ -87,6 +87,15 @@ def texture_sheets(asset: Asset) -> str:
                 f'alt="{html.escape(label)}" src="{data_uri(sheet.image)}">'
                 f"<figcaption>{html.escape(label)}, {width} × {height}</figcaption></figure>"
             )
+    for label, image in maps.items():
+        height, width = image.shape[:2]
+        picture = Image.fromarray(image)
+        picture.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
+        uri = data_uri(np.asarray(picture))
+        figures.append(
+            f'<figure data-texture="map"><img class="zoom" alt="{html.escape(label)}" src="{uri}">'
+            f"<figcaption>{html.escape(label)}, {width} × {height}</figcaption></figure>"
+        )
     return f'<div class="textures">{"".join(figures)}</div>'
 
 
