@@ -422,7 +422,7 @@ def test_a_folder_that_disappears_is_made_again(tmp_path, caplog):
 
     result = run_job(load_config(overrides=[f"asset={tmp_path / 'sphere.ply'}", *SMALL]), tmp_path / "out", remove)
     assert result.figures["candidates"]["result"]["triangles"] > 0
-    assert files(tmp_path / "out") >= {"model.glb", "metrics.json", "report.html"}
+    assert files(tmp_path / "out") >= {"model.glb", "metrics.json", "report.html", "config.yaml"}
 
 
 def test_a_model_that_cannot_be_written_is_put_elsewhere(tmp_path, capsys):

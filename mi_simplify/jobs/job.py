@@ -155,6 +155,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         comparison = replace(comparison, figures={**comparison.figures, "run": run})
         with folder.staged() as stage:
             save_comparison(comparison, stage)
+            write_atomic(stage / "config.yaml", dump(config))  # again: the folder may have been removed meanwhile
         report_folder(folder.path, _shown(subject) | {"result": result})
         folder.finished()
     _require_shown(shown, written)
