@@ -21,7 +21,7 @@ from mi_simplify.report.comparison import Comparison, load_comparison, save_comp
 from mi_simplify.report.evaluate import Judging, compare_assets, evaluate
 from mi_simplify.report.folder import report_folder
 from mi_simplify.report.gallery import pictures
-from mi_simplify.report.html import write_report
+from mi_simplify.report.html import report_page, write_report
 from mi_simplify.report.metrics import compare
 from mi_simplify.report.pictures import (
     comparison_columns,
@@ -339,6 +339,12 @@ def test_pictures_of_other_figures_are_refused(judged):
         np.savez(judged / "views.npz", **(arrays | {"candidate_0": wrong}))
         with pytest.raises(OutputError, match=r"damaged|does not belong"):
             report_folder(judged)
+
+
+@pytest.mark.parametrize(("settings", "said"), [({"sky": 0.1}, "has not seen"), ({}, "in the light of the fit")])
+def test_the_page_says_which_light_its_pictures_have(comparison, settings, said):
+    figures = comparison.figures | {"settings": comparison.figures["settings"] | settings}
+    assert said in report_page(replace(comparison, figures=figures), title="disc")
 
 
 # --- evaluate -----------------------------------------------------------------------------------------------------

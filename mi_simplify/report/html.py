@@ -217,8 +217,9 @@ def _views_hint(figures: Mapping) -> str:
         for color in (RED, BLUE)
     )
     s = figures["settings"]
+    lit = "under a point light and a dim sky that the fit has not seen" if "sky" in s else "in the light of the fit"
     return (
-        f"Path traced at {s['spp']} samples per pixel under a point light and a dim sky that the fit has not seen. "
+        f"{'Path traced' if 'sky' in s else 'Rendered'} at {s['spp']} samples per pixel {lit}. "
         f"Difference × {DIFFERENCE_GAIN:g}: <span>{red} too bright</span>, <span>{blue} too dim</span>. "
         f"Coverage: <span>{red} only the candidate’s</span>, <span>{blue} only the reference’s</span>."
     )
