@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..config.forest import Forest
-from ..errors import AssetError, Defect
+from ..errors import Defect
 from ..export.files import write_atomic
 from ..export.instancing import write_instanced
 from ..export.textures import png, to_8bit
@@ -22,6 +22,7 @@ from ..record.output import RunFolder
 from ..report.metrics import flip, psnr, tonemap
 from ..scenes.scatter import scatter
 from ..subjects import open_asset
+from ..subjects.subject import require_environment
 
 
 def render_forest(
@@ -60,8 +61,7 @@ def render_forest(
         A model cannot be read, or the folder not be written.
     """
     folder = RunFolder(out, overwrite=overwrite)
-    if forest.environment is not None and not Path(forest.environment).is_file():
-        raise AssetError(f"the environment map '{forest.environment}' does not exist")
+    require_environment(forest.environment)
     progress(Progress("load"))
     originals = [open_asset(plant.original) for plant in forest.plants]
     shown = [open_asset(plant.approximation) for plant in forest.plants]

@@ -256,12 +256,19 @@ def judged_as_fitted(config: Config) -> Config:
     return config.model_copy(update={"evaluation": config.evaluation.model_copy(update={"light": "fitted"})})
 
 
+def require_environment(path: str | None) -> None:
+    """
+    Raise :class:`AssetError` where an environment map is named that does not exist.
+    """
+    if path is not None and not Path(path).is_file():
+        raise AssetError(f"the environment map '{path}' does not exist")
+
+
 def read_environment(path: str) -> np.ndarray:
     """
     The image of an environment map, shape (H, W, 3), linear.
     """
-    if not Path(path).is_file():
-        raise AssetError(f"the environment map '{path}' does not exist")
+    require_environment(path)
     image = decode_image(Path(path).read_bytes(), Path(path).name, "reference.environment")
     if image.dtype.kind != "f" or image.shape[2] < 3:
         raise AssetError(f"the environment map '{path}' should be an EXR or HDR image with three channels")
@@ -273,8 +280,7 @@ def reference_for(asset: Asset, config: Config) -> Reference:
     Mitsuba's rendering of an asset, as the configuration asks for it.
     """
     settings = config.reference
-    if settings.environment is not None and not Path(settings.environment).is_file():
-        raise AssetError(f"the environment map '{settings.environment}' does not exist")
+    require_environment(settings.environment)
     return make_reference(
         asset, transport=settings.transport, spp=settings.spp, max_depth=settings.max_depth,
         environment=settings.environment, lights=settings.scene_lights, form=config.latent.shading,
