@@ -16,6 +16,7 @@ import numpy as np
 
 from .. import __version__
 from ..config import Config
+from ..config.schema import Reference as ReferenceSettings
 from ..errors import ConfigError
 from ..export.files import make_folder, write_atomic
 from ..latent.model import Model
@@ -177,17 +178,7 @@ def lod_job(
             takes_over, measured = switching_size(
                 models[-2], models[-1], bounds, threshold, largest=largest, form=settings.latent.shading
             )
-        file = folder / "model.glb"
-        levels.append(
-            Level(
-                file=f"{folder.name}/{file.name}", triangles=result.model.n_triangles,
-                texels=result.model.base_color.shape[0], bytes=file.stat().st_size,
-                screen_size=None if takes_over is None else round(takes_over, 1), screen_share=1.0,
-                target_resolution=settings.optimizer.target_resolution,
-                flip_above={str(s): round(x, 5) for s, x in measured.items()},
-                psnr=0.0, flip=0.0, seconds=round(time.perf_counter() - begun, 1),
-            )
-        )  # fmt: skip
+        levels.append(_level(folder, result.model, settings, takes_over, measured, time.perf_counter() - begun))
     levels = _judged(levels, models, bounds, config)
     _write_extras(out, levels, bounds / frame.scale + frame.center, extras)
     seconds = time.perf_counter() - start
@@ -197,6 +188,20 @@ def lod_job(
     }  # fmt: skip
     write_atomic(out / "lod.json", json.dumps(document, indent=2, allow_nan=False) + "\n")
     return Chain(out, levels, seconds)
+
+
+def _level(
+    folder: Path, model: Model, settings: Config, takes_over: float | None, flip_above: dict[int, float], seconds: float
+) -> Level:
+    """What is known of a level before :func:`_judged` looks at all of them."""
+    file = folder / "model.glb"
+    return Level(
+        file=f"{folder.name}/{file.name}", triangles=model.n_triangles, texels=model.base_color.shape[0],
+        bytes=file.stat().st_size, screen_size=None if takes_over is None else round(takes_over, 1), screen_share=1.0,
+        target_resolution=settings.optimizer.target_resolution,
+        flip_above={str(size): round(x, 5) for size, x in flip_above.items()},
+        psnr=0.0, flip=0.0, seconds=round(seconds, 1),
+    )  # fmt: skip
 
 
 def _film(size: float, bounds: np.ndarray, config: Config) -> int:
@@ -227,11 +232,14 @@ def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray
     return out
 
 
-def _supersampled(config: Config):
+def _supersampled(config: Config) -> ReferenceSettings:
+    """The reference with so many samples that its own noise does not count."""
     return config.reference.model_copy(update={"spp": max(config.reference.spp, 64)})
 
 
-def _strict(model: Model, reference: Reference, bounds: np.ndarray, size: int, config: Config):
+def _strict(
+    model: Model, reference: Reference, bounds: np.ndarray, size: int, config: Config
+) -> tuple[np.ndarray, np.ndarray]:
     """Images of the reference, and of a model with one sample in the middle of each pixel."""
     views = held_out_views(bounds, 8, size, config.seed)
     screen = Screen(model, form=config.latent.shading, shade="centre")
