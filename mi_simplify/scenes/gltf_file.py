@@ -215,7 +215,7 @@ class GltfFile:
 
     def image(self, index: int) -> np.ndarray:
         """
-        An image, decoded; shape (H, W, C), see :func:`decode_image`.
+        An image, decoded; shape (H, W, C), see :func:`.images.decode_image`.
         """
         image = self.item("images", index)
         if image.get("bufferView") is not None:
