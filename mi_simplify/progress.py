@@ -1,5 +1,5 @@
 """
-How far a job is: the one callback through which every stage reports.
+How far a job is: the one callback through which every stage reports, and times in words.
 """
 
 from __future__ import annotations
@@ -42,3 +42,13 @@ def silent(progress: Progress) -> None:
     """
     The callback that shows nothing.
     """
+
+
+def in_words(seconds: float) -> str:
+    """
+    A time for a person: 4.1 s, 41 s, 3 min 05 s, 2 h 10 min.
+    """
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.2g} s"

@@ -15,6 +15,7 @@ from mi_simplify.fitting.schedules import resolution_at
 from mi_simplify.jobs import forecast
 from mi_simplify.jobs.job import run_job
 from mi_simplify.latent.model import Mesh
+from mi_simplify.progress import in_words
 from mi_simplify.record import stopwatch
 
 SMALL = [
@@ -113,4 +114,4 @@ def test_charts_are_counted_and_measured():
     mesh = Mesh(np.zeros((7, 3)), np.arange(7), uvs, np.array([[0, 1, 2], [1, 3, 2], [4, 5, 6]]))
     charts, used = forecast._charts(mesh)
     assert charts == 2 and used == pytest.approx(0.25 + 0.08)
-    assert [forecast._words(s) for s in (0.15, 41.2, 185, 7860)] == ["0.15 s", "41 s", "3 min 05 s", "2 h 11 min"]
+    assert [in_words(s) for s in (0.15, 41.2, 185, 7860)] == ["0.15 s", "41 s", "3 min 05 s", "2 h 11 min"]

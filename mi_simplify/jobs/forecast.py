@@ -24,7 +24,7 @@ from ..fitting.schedules import resolution_at
 from ..latent.model import Mesh, Model
 from ..machine import memory
 from ..machine.runtime import ensure_variant
-from ..progress import Progress, ProgressCallback, silent
+from ..progress import Progress, ProgressCallback, in_words, silent
 from ..record.events import require_tensorboard
 from ..record.output import RunFolder
 from ..record.preview import SHARE
@@ -64,8 +64,8 @@ class Forecast:
         """
         For a person, one line a stage.
         """
-        parts = ", ".join(f"{name} {_words(seconds)}" for name, seconds in self.seconds.items())
-        rows = dict(self.plan) | {"time": f"about {_words(sum(self.seconds.values()))}: {parts}"}
+        parts = ", ".join(f"{name} {in_words(seconds)}" for name, seconds in self.seconds.items())
+        rows = dict(self.plan) | {"time": f"about {in_words(sum(self.seconds.values()))}: {parts}"}
         rows["memory"] = f"about {memory.shown_size(self.memory)} at most"
         rows["measured"] = (
             f"on this machine as busy as it is now: the first guess, {self.steps} steps of the fit and two views of "
@@ -196,11 +196,3 @@ def _try_rest(result: Forecast, config: Config, subject: Subject, guess: Model, 
     models = {"result": candidate} if subject.shown is None else {"reference": subject.shown, "result": candidate}
     report_page(comparison, title=subject.geometry.name, models=models)
     result.seconds["report"] = clock.lap() + per_view * judged.views
-
-
-def _words(seconds: float) -> str:
-    """4.1 s, 41 s, 3 min 05 s, 2 h 10 min."""
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes >= 60:
-        return f"{minutes // 60} h {minutes % 60:02d} min"
-    return f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.2g} s"

@@ -18,6 +18,7 @@ import numpy as np
 from .. import __version__
 from ..export.files import write_atomic
 from ..export.textures import to_8bit
+from ..progress import in_words
 from ..scenes.asset import Asset
 from .chart import line_chart
 from .comparison import Comparison
@@ -189,7 +190,7 @@ def _cards(figures: Mapping, log: Sequence[Mapping]) -> str:
         cards.append(_card(name, pattern.format(last[key]), unit, change))
     seconds = [r["seconds"] for r in log if r.get("seconds") is not None]
     if seconds:
-        cards.append(_card("time of the fit", _duration(seconds[-1]), "", f"{log[-1]['step']:,} steps"))
+        cards.append(_card("time of the fit", in_words(seconds[-1]), "", f"{log[-1]['step']:,} steps"))
     return f'<section id="summary" class="cards">{"".join(cards)}</section>\n'
 
 
@@ -200,14 +201,6 @@ def _card(name: str, value: str, unit: str, change: str) -> str:
         f'<div class="card"><div class="name">{html.escape(name)}</div>'
         f'<div class="value">{html.escape(value)}{unit}</div><div class="change">{change}</div></div>'
     )
-
-
-def _duration(seconds: float) -> str:
-    """Seconds in words: 41 s, 3 min 05 s."""
-    if seconds < 60:
-        return f"{seconds:.3g} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest:02d} s"
 
 
 def _views_hint(figures: Mapping) -> str:
