@@ -120,7 +120,7 @@ class Target:
         with dr.suspend_grad():
             seed = dr.opaque(mi.UInt32, seed % 2**31)
             frame = self._renderer.render(self._surface, self._latent.textures, views, spp=4, seed=seed)
-        return frame.image.numpy().T.reshape(len(views), views.height, views.width, 4)
+        return frame.images()
 
 
 class Clock:

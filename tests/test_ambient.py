@@ -38,7 +38,7 @@ def rendered(model: Model, views):
 
 def test_both_renderers_show_the_same_ambient_light(model):
     views = goniometer(2, np.random.default_rng(1), width=32, height=32)
-    lit = rendered(model, views.under(upload(mi.Float, AMBIENT.ravel()))).image.numpy().T.reshape(2, 32, 32, 4)
+    lit = rendered(model, views.under(upload(mi.Float, AMBIENT.ravel()))).images()
     plain = make_reference(model.as_asset(), transport="direct", spp=64).render(views)
     ambient = make_reference(model.as_asset(), transport="direct", spp=64, ambient=AMBIENT).render(views)
     covered = plain[..., 3] == 1

@@ -287,7 +287,7 @@ def test_a_diffuse_ball_in_an_environment_is_lit_as_by_mitsuba():
     model = replace(model, specular=specular, normal=flat)
     coefficients = constant_environment((0.8, 0.9, 1)) + np.random.default_rng(0).normal(size=(16, 3)) * 0.15
     views = goniometer(2, np.random.default_rng(1), width=32, height=32).lit_by(0.0)
-    lit = rendered(model, views.under(upload(mi.Float, coefficients.ravel()))).image.numpy().T.reshape(2, 32, 32, 4)
+    lit = rendered(model, views.under(upload(mi.Float, coefficients.ravel()))).images()
     reference = make_reference(model.as_asset(), transport="baked", spp=256, max_depth=2)
     assert isinstance(reference, MitsubaReference)
     reference.shapes["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(environment_image(coefficients))}

@@ -37,7 +37,7 @@ def test_the_exported_file_shows_what_the_latent_renderer_shows(tmp_path):
     renderer.move(positions)
     views = goniometer(4, np.random.default_rng(0), width=72, height=48)
     frame = renderer.render(latent.evaluate(positions), latent.textures, views, spp=256, seed=dr.opaque(mi.UInt32, 1))
-    image = frame.image.numpy().T.reshape(4, 48, 72, 4)
+    image = frame.images()
     file = export_model(model, tmp_path, formats=("glb",))["glb"]
     reference = make_reference(load_asset(file), transport="direct", spp=256).render(views)
     assert reference[..., 3].mean() > 0.1

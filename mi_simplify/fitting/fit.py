@@ -177,7 +177,7 @@ class Fit:
             with dr.suspend_grad():
                 lit, opaque_seed = part.under(self.ambient.value), dr.opaque(mi.UInt32, seed)
                 frame = self.renderer.render(surface, self.latent.textures, lit, spp=16, seed=opaque_seed)
-            out[index] = frame.image.numpy().T.reshape(len(part), *out.shape[1:])
+            out[index] = frame.images()
             beyond += 0.0 if frame.beyond is None else float(dr.sum(frame.beyond)[0])
         self.beyond = beyond / max(float(out[..., 3].sum()), 1e-12)
         return out

@@ -68,7 +68,7 @@ class PathResidual:
         path = tracer.render(views, seed)
         with dr.suspend_grad():
             frame = self._renderer.render(surface, textures, views, spp=self._spp, seed=dr.opaque(mi.UInt32, seed))
-        direct = frame.image.numpy().T.reshape(path.shape)
+        direct = frame.images()
         residual = path - direct
         residual[..., 3] = 0
         return residual

@@ -8,7 +8,6 @@ times the speed of the edge is what the pixel gains (Li et al. 2018).
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -22,10 +21,8 @@ from .edge_set import EdgeSet
 from .edges import edge_table
 from .gbuffer import MISS, Hits, kept_hits, trace, with_light
 from .layers import WIDTH, composite, layered_hits, peel
+from .rendered import RenderedBatch
 from .shading import hit_values, shade_hits
-
-if TYPE_CHECKING:
-    from .deferred import Frame
 
 
 class Boundary:
@@ -50,7 +47,13 @@ class Boundary:
         self.edges = EdgeSet(table, mesh.position_faces, positions=mesh.positions, opaque=layers == 1)
 
     def backward(
-        self, frame: Frame, grad: mi.Float, surface: Surface, textures: Textures, positions: mi.Float, seed: mi.UInt32
+        self,
+        frame: RenderedBatch,
+        grad: mi.Float,
+        surface: Surface,
+        textures: Textures,
+        positions: mi.Float,
+        seed: mi.UInt32,
     ) -> tuple[mi.Float | float, mi.Float | float]:
         """
         Derivatives by positions and by the views' packets, from ``grad``, those by the flat image.
@@ -65,7 +68,7 @@ class Boundary:
 
     def forward(
         self,
-        frame: Frame,
+        frame: RenderedBatch,
         surface: Surface,
         textures: Textures,
         positions: mi.Float,
@@ -103,7 +106,7 @@ class Boundary:
         return sides
 
     def _hits(
-        self, frame: Frame, surface: Surface, textures: Textures, positions: mi.Float, seed
+        self, frame: RenderedBatch, surface: Surface, textures: Textures, positions: mi.Float, seed
     ) -> tuple[EdgeRays, Hits] | None:
         """
         Rays to either side of samples on edges that are in view and move, and what they hit; None where there are none.

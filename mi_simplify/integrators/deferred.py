@@ -9,7 +9,7 @@ Rays are traced here; what is done with their hits is in functions that are trac
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
@@ -22,41 +22,10 @@ from ..scenes.shapes import MovingMesh
 from ..scenes.views import Views
 from .boundary import Boundary, backward_from
 from .camera import Cameras, FilmRays, PixelRays
-from .gbuffer import MISS, Hits, kept_hits, one_a_pixel, trace, with_light
+from .gbuffer import MISS, kept_hits, one_a_pixel, trace, with_light
 from .layers import composite, composite_adjoint, composite_tangent, layered_hits, peel
+from .rendered import RenderedBatch
 from .shading import hit_values, shade_hits
-
-
-@dataclass
-class Frame:
-    """
-    One rendered batch: its image, and what its derivatives need.
-
-    Parameters
-    ----------
-    image : mi.Vector4f, width B·height·width
-        Premultiplied radiance and coverage of every pixel.
-    views : mi.Float
-        Packets of the cameras, attached where the views are.
-    rays : FilmRays or PixelRays
-        Those that are shaded; detached.
-    hits : Hits or None
-        None where nothing was hit.
-    touched : TouchedBlocks or None
-        Of the textures; None where nothing was hit, or rendered under ``dr.suspend_grad()``.
-    values : mi.Vector4f or None
-        Premultiplied radiance and coverage of each hit; with several layers only.
-    beyond : mi.Float or None
-        Coverage that one more layer would add to the pixel of each ray; with several layers only.
-    """
-
-    image: mi.Vector4f
-    views: mi.Float
-    rays: FilmRays | PixelRays
-    hits: Hits | None = None
-    touched: TouchedBlocks | None = None
-    values: mi.Vector4f | None = None
-    beyond: mi.Float | None = None
 
 
 class DeferredRenderer:
@@ -107,7 +76,7 @@ class DeferredRenderer:
         """
         self.tracer.move(positions)
 
-    def render(self, surface: Surface, textures: Textures, views: Views, *, spp: int, seed: mi.UInt32) -> Frame:
+    def render(self, surface: Surface, textures: Textures, views: Views, *, spp: int, seed: mi.UInt32) -> RenderedBatch:
         """
         Image of a batch.
 
@@ -143,7 +112,7 @@ class DeferredRenderer:
             dr.eval(face, beyond)
             hits = layered_hits(face, self.layers)
         if hits is None:
-            return Frame(dr.zeros(mi.Vector4f, detached.n_pixels), cameras.packets, rays)
+            return RenderedBatch(dr.zeros(mi.Vector4f, detached.n_pixels), cameras.packets, rays)
         if self.shadows:
             hits = with_light(self.tracer.scene, surface, rays, hits)
         if self.layers == 1:
@@ -155,11 +124,11 @@ class DeferredRenderer:
             dr.scatter_reduce(dr.ReduceOp.Add, image, whole, rays.pixel(ray), mode=dr.ReduceMode.Local)
             dr.eval(image)
         touched = None if flags is None else TouchedBlocks.of(textures, flags)
-        return Frame(_pixels(image, detached), cameras.packets, rays, hits, touched, values, beyond)
+        return RenderedBatch(_pixels(image, detached), cameras.packets, rays, hits, touched, values, beyond)
 
     def backward(
         self,
-        frame: Frame,
+        frame: RenderedBatch,
         grad_image: mi.Vector4f,
         surface: Surface,
         textures: Textures,
@@ -211,7 +180,7 @@ class DeferredRenderer:
 
     def forward(
         self,
-        frame: Frame,
+        frame: RenderedBatch,
         surface: Surface,
         textures: Textures,
         positions: mi.Float,

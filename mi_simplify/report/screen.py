@@ -57,5 +57,5 @@ class Screen:
                 frame = self.renderer.render(
                     surface, self.latent.textures, part.under(self.ambient), spp=spp, seed=dr.opaque(mi.UInt32, seed)
                 )
-                out[index] = frame.image.numpy().T.reshape(len(part), *out.shape[1:])
+                out[index] = frame.images()
         return out

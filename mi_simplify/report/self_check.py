@@ -135,4 +135,4 @@ def _render(
     renderer.move(positions)
     with dr.suspend_grad():
         frame = renderer.render(surface, textures, views, spp=4, seed=dr.opaque(mi.UInt32, 1))
-    return frame.image.numpy().T.reshape(len(views), views.height, views.width, 4)
+    return frame.images()

@@ -58,4 +58,4 @@ class InEnvironment:
             frame = self._renderer.render(
                 self.surface, self.textures, views.under(self._ambient), spp=self.spp, seed=dr.opaque(mi.UInt32, seed)
             )
-        return frame.image.numpy().T.reshape(len(views), views.height, views.width, 4)
+        return frame.images()
