@@ -158,6 +158,18 @@ def test_a_coarser_tessellation_on_the_finest_topology_is_the_same_surface():
     assert np.abs(images[0] - images[2]).mean() > 1e-3
 
 
+def test_views_that_name_no_tessellation_show_the_finest():
+    start = model(2, subdivisions=2)
+    assert start.displacement is not None
+    several = replace(start, displacement=replace(start.displacement, fitted=(0, 2)))
+    views = look_at([[0.4, 0.8, -3.1]], [0.02, 0, 0.01], [[2, 1.5, -2.5]], width=32, height=32)
+    finest, coarsest, shown = (
+        Screen(m, mips="none").images(views, spp=4) for m in (start, tessellated(start, 0), several)
+    )
+    np.testing.assert_allclose(shown, finest, atol=1e-5)
+    assert np.abs(shown - coarsest).mean() > 1e-3
+
+
 def test_a_fit_for_several_tessellations_draws_views_of_each():
     displacement = Displacement(np.zeros((4, 4), np.float32), 3, (1, 3))
     draw = tessellating(lambda n, rng, size: [goniometer(n, rng, width=size, height=size)], displacement, 2)
