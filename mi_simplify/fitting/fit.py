@@ -273,18 +273,16 @@ class Fit:
 
 def _by_chance(settings: ViewSettings) -> Callable[[int, np.random.Generator, int], list[Views]]:
     """Views anywhere around the origin, as ``ViewPool`` draws them."""
-    return partial(
-        _draw, distance=settings.distance, jitter=settings.jitter, fov=settings.fov, exponent=settings.light.exponent,
-        irradiance=settings.light.irradiance, position=settings.light.position,
-    )  # fmt: skip
+    light = settings.light
 
+    def draw(n: int, rng: np.random.Generator, resolution: int) -> list[Views]:
+        views = goniometer(
+            n, rng, width=resolution, height=resolution, distance=settings.distance, jitter=settings.jitter,
+            fov=settings.fov, light_exponent=light.exponent, irradiance=light.irradiance, light_position=light.position,
+        )  # fmt: skip
+        return [views]
 
-def _draw(n, rng, resolution, *, distance, jitter, fov, exponent, irradiance, position) -> list[Views]:
-    views = goniometer(
-        n, rng, width=resolution, height=resolution, distance=distance, jitter=jitter, fov=fov,
-        light_exponent=exponent, irradiance=irradiance, light_position=position,
-    )  # fmt: skip
-    return [views]
+    return draw
 
 
 #: Steps between two renewals of the pool: fewer, larger ones cost less.
