@@ -216,6 +216,12 @@ def test_report_needs_no_more_than_a_comparison(comparison, tmp_path):
     assert page.sections == ["figures", "side-by-side", "views"]
 
 
+def test_the_frames_of_a_character_are_told(comparison, tmp_path):
+    shown = replace(comparison, figures=comparison.figures | {"settings": {"spp": 16, "frames": [1.0, 12.5]}})
+    text = write_report(tmp_path / "report.html", shown, title="disc").read_text(encoding="utf-8")
+    assert "The views are of frames 1, 12.5." in text
+
+
 def test_the_grid_shows_the_errors_of_the_last_candidate_first(comparison, tmp_path):
     text = write_report(tmp_path / "report.html", comparison, title="disc").read_text(encoding="utf-8")
     cell = r'<figure data-view="0" data-index="\d" data-column="(.*?)"(?: data-of="(.*?)")?( hidden)?>'

@@ -148,6 +148,7 @@ def first_guess(
     if subdivisions:
         model = displaced_onto(asset, model, subdivisions)
         mesh = tessellated(model).mesh
+        notes.append(f"{len(model.mesh.faces)} triangles of a base mesh are split in {4**subdivisions} and displaced")
     if textures == "bake":
         baked = bake(asset, mesh, size=atlas_size * oversample, samples=samples if oversample == 1 else 1)
         if baked.missed > 0.05:

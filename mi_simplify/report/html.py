@@ -23,7 +23,7 @@ from ..scenes.asset import Asset
 from .chart import line_chart
 from .comparison import Comparison
 from .embed import json_block, script_hash, web_file
-from .gallery import divider, grid, left_out, pictures
+from .gallery import MOST_VIEWS, divider, grid, left_out, pictures
 from .pictures import BLUE, DIFFERENCE_GAIN, RED
 from .viewer import texture_sheets, viewer_data
 
@@ -211,10 +211,12 @@ def _views_hint(figures: Mapping) -> str:
     )
     s = figures["settings"]
     lit = "under a point light and a dim sky that the fit has not seen" if "sky" in s else "in the light of the fit"
+    frames = ", ".join(f"{code:g}" for code in s.get("frames", ())[:MOST_VIEWS])
     return (
         f"{'Path traced' if 'sky' in s else 'Rendered'} at {s['spp']} samples per pixel {lit}. "
         f"Difference × {DIFFERENCE_GAIN:g}: <span>{red} too bright</span>, <span>{blue} too dim</span>. "
         f"Coverage: <span>{red} only the candidate’s</span>, <span>{blue} only the reference’s</span>."
+        + (f" The views are of frames {frames}." if frames else "")
     )
 
 
