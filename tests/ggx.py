@@ -34,7 +34,7 @@ def ref_gltf(base_color, gamma, roughness, metallic, n, wi, wo):
     f0 = np.minimum(((1 - 1.5) / (1 + 1.5)) ** 2 * (1 - gamma), 1)
     dielectric_fresnel = f0 + (1 - f0) * (1 - cos_d) ** 5
     dielectric = (1 - dielectric_fresnel) * base_color / np.pi + dielectric_fresnel * lobe
-    f0 = (1 - gamma) * base_color  # DESIGN: a metal's γ belongs into the base colour
+    f0 = (1 - gamma) * base_color  # a metal's γ belongs into the base colour
     metal = lobe * (f0 + (1 - f0) * (1 - cos_d) ** 5)
     return (1 - metallic) * dielectric + metallic * metal
 

@@ -21,7 +21,7 @@ from .views import Views
 
 log = logging.getLogger("mi_simplify")
 
-#: What the reference images contain, see DESIGN "Transport" and docs/how-it-works.md.
+#: What the reference images contain, see docs/how-it-works.md.
 TRANSPORTS = ("direct", "baked", "matched")
 
 
