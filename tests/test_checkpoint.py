@@ -348,8 +348,10 @@ def stopped(tmp_path, monkeypatch, capsys):
     with monkeypatch.context() as patch:
         patch.setattr(Run, "step", stopped_at_11)
         assert cli.main(command) == 130
-    err = capsys.readouterr().err.strip()
-    assert err == "interrupted: out holds the best model of 12 of 30 steps; the same command with --resume goes on"
+    assert list(filter(None, capsys.readouterr().err.splitlines())) == [
+        "warning: stopping after this step; once more stops at once",
+        "interrupted: out holds the best model of 12 of 30 steps; the same command with --resume goes on",
+    ]
     assert files(tmp_path / "out") >= {"model.glb", "checkpoint/state.npz", "log.jsonl", "config.yaml"}
     return tmp_path, command
 

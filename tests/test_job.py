@@ -94,15 +94,16 @@ def test_every_public_name_exists():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_first_interrupt_waits_and_the_second_does_not(number):
+def test_the_first_interrupt_waits_and_the_second_does_not(number, caplog):
     before = signal.getsignal(number)
     with DeferredInterrupt() as interrupt:
         interrupt.check()
         signal.raise_signal(number)
-        assert interrupt.pending
+        assert interrupt.pending and caplog.messages == ["stopping after this step; once more stops at once"]
+        interrupt.left_behind = "how to go on"
         with pytest.raises(KeyboardInterrupt):
             interrupt.check()
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt, match="how to go on"):
             signal.raise_signal(number)
     assert signal.getsignal(number) is before
 

@@ -125,12 +125,14 @@ def _plan(config: Config, asset: Asset, guess: Model, notes: list[str], out: Pat
     height, width = guess.base_color.shape[:2]
     fit, seen = config.optimizer, config.evaluation
     sizes = ", then ".join(f"{r}²" for r in fit.resolution)
+    parts = {"displacement": guess.displacement, "vertex_sets": guess.vertex_sets, "skinning": guess.skin}
+    fitted = [name for name in config.latent.optimize if parts.get(name, guess) is not None]
     return {
         "asset": f"{config.asset}: {asset.n_triangles:,} triangles in {len(asset.instances)} part(s)",
         "first guess": f"{guess.n_triangles:,} triangles" + "".join(f"; {note}" for note in notes),
         "atlas": f"{width} × {height} texels, {charts} charts on {100 * used:.0f} % of it",
         "fit": f"{fit.steps:,} steps of {fit.batch} views of {sizes} pixels with {fit.spp} samples, "
-        f"{config.reference.transport} light; {', '.join(config.latent.optimize)}",
+        f"{config.reference.transport} light; {', '.join(fitted)}",
         "evaluation": f"{seen.views} views of {seen.resolution}² pixels with {seen.spp} samples",
         "results": f"{out}: {', '.join(FORMATS[name] for name in config.export.formats)}, report.html, …",
     }
@@ -169,7 +171,9 @@ def _try_fit(result: Forecast, config: Config, guess: Model, reference: Referenc
         seconds += took * max(0, n - 2 * REFRESH_EVERY) / REFRESH_EVERY
         first += n
     run.judge()
-    seconds += clock.lap() * math.ceil(n_steps / config.evaluation.every)
+    seconds += clock.lap()  # which compiles
+    run.judge()
+    seconds += clock.lap() * (math.ceil(n_steps / config.evaluation.every) - 1)
     run.state()  # what a checkpoint takes, for the memory's sake
     result.seconds["fit"] = seconds * (1 + SHARE)
 

@@ -131,6 +131,8 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         if not folder.resume:
             write_atomic(folder.path / "config.yaml", dump(config))
             checkpoint.begin(guess, notes)
+        if folder.checkpoint.is_dir():
+            interrupt.left_behind = f"{folder.path} holds a checkpoint; the same command with --resume goes on"
         record = Record(folder, checkpoint, interrupt, config, frame, _facts(config))
         fitted = record.fit(guess, reference, state, progress)
         clock.lap("fit", before=0.0 if state is None else state["seconds"])

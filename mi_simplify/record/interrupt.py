@@ -4,10 +4,14 @@ Ctrl-C, and the SIGTERM of batch systems, that wait for a good moment.
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import signal
 import threading
 from types import FrameType, TracebackType
 from typing import Self
+
+log = logging.getLogger("mi_simplify")
 
 
 class DeferredInterrupt:
@@ -39,6 +43,8 @@ class DeferredInterrupt:
         if self.pending:
             raise KeyboardInterrupt(self.left_behind)
         self.pending = True
+        with contextlib.suppress(RuntimeError):  # raised where it interrupts another line on its way
+            log.warning("stopping after this step; once more stops at once")
 
     def check(self) -> None:
         """
