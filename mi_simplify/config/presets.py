@@ -67,17 +67,19 @@ STARTS: dict[str, dict[str, Any]] = {
         },
         "loss": {"coverage": 10.0, "laplacian": {"weight": 0.0}},
     },
-    # Foliage: the paper's squared error on radiance, and no gloss, which the normals of many leaves would blur.
+    # Foliage: a few samples, since those of one pixel are noise that gradients would learn, and no gloss, which the
+    # normals of many leaves would blur.
     "cards": {
         "latent": {
             "optimize": ["vertices", "base_color", "opacity", "roughness", "normal"],
             "min_roughness": 0.6,
         },
         "optimizer": {
-            "steps": 300,
-            "spp": 1,
-            "rates": {"vertices": 0.002, "base_color": 0.003, "specular": 0.001, "normal": 0.002},
+            "steps": 200,
+            "batch": 4,
+            "spp": 4,
+            "rates": {"vertices": 0.003, "base_color": 0.01, "specular": 0.001, "normal": 0.01},
         },
-        "loss": {"image": "l2", "coverage": 1.0, "laplacian": {"weight": 1.0}},
+        "loss": {"coverage": 1.0, "laplacian": {"weight": 1.0}},
     },
 }
