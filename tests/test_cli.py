@@ -94,6 +94,13 @@ def test_a_triangle_budget_below_four_or_above_the_input(tmp_path, rejected):
     assert "ask for fewer, as with --triangles 100" in rejected("simplify", sphere, "-o", "out")
 
 
+def test_frames_of_what_has_no_skeleton_are_one_line(tmp_path, rejected):
+    sphere = str(bumpy_sphere(tmp_path, 10))
+    assert "sphere has no skeleton, so it has no frames; leave --frames" in (
+        rejected("simplify", sphere, "-n", "50", "--frames", "1:3", "-o", "out")
+    )
+
+
 def test_a_mesh_to_start_from_that_cannot_be_used(tmp_path, rejected):
     sphere = str(bumpy_sphere(tmp_path, 10))
     write_obj(tetrahedron(), tmp_path / "low.obj")  # its texture coordinates overlap

@@ -238,6 +238,8 @@ def open_subject(config: Config) -> Subject:
         from .character import Character
 
         return Character(config, geometry)
+    if config.animation.frames is not None:
+        raise AssetError(f"{geometry.name} has no skeleton, so it has no frames; leave --frames (animation.frames) out")
     return Subject(config, geometry)
 
 
