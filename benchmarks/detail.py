@@ -194,15 +194,18 @@ def displacement(args) -> None:
 
 
 def tessellations(args) -> None:
-    """One displaced model for three tessellations at once, beside models that are fitted for one alone."""
+    """
+    One displaced model for three tessellations at once, beside models that are fitted for one alone, in as many steps
+    for each.
+    """
     from mi_simplify.report.evaluate import Judging, compare_assets
 
-    common = [f"asset={args.asset}", f"optimizer.steps={args.steps}", "initial.triangles=1000"]
-    common += ["initial.atlas_size=1024", *args.set]
-    together = fitted([*common, "initial.subdivisions=3", "initial.tessellations=[1,2,3]"])[1]
+    common = [f"asset={args.asset}", "initial.triangles=1000", "initial.atlas_size=1024", *args.set]
+    steps, tripled = (f"optimizer.steps={n * args.steps}" for n in (1, 3))
+    together = fitted([*common, tripled, "initial.subdivisions=3", "initial.tessellations=[1,2,3]"])[1]
     subject, candidates = opened(common, None), {}
     for n in (1, 2, 3):
-        alone = fitted([*common, f"initial.subdivisions={n}"])[1]
+        alone = fitted([*common, steps, f"initial.subdivisions={n}"])[1]
         shown = replace(together, displacement=replace(together.displacement, subdivisions=n, fitted=()))
         candidates[f"{4**n} times, alone"] = alone.as_asset()
         candidates[f"{4**n} times, with the others"] = shown.as_asset()

@@ -113,12 +113,31 @@ def test_a_chain_from_the_command_line(tmp_path, capsys):
     assert fine["screen_size"] is None and fine["target_resolution"] is None and fine["triangles"] <= 300
     assert coarse["triangles"] <= 60 and SIZES[-1] <= coarse["screen_size"] <= SIZES[0]
     assert coarse["flip_above"] and 0 < coarse["screen_share"] <= 1
-    assert coarse["target_resolution"] is None or 16 <= coarse["target_resolution"] <= 512
+    assert coarse["target_resolution"] is None or 64 <= coarse["target_resolution"] <= 512
     for level in (fine, coarse):
         assert (tmp_path / "out" / level["file"]).stat().st_size == level["bytes"]
         assert level["psnr"] > 10 and 0 < level["flip"] < 1
     assert (tmp_path / "out" / "lods.glb").exists() and (tmp_path / "out" / "lods.usda").exists()
     assert cli.main(command) == 2 and "already holds a run" in capsys.readouterr().err
+
+
+def test_a_level_that_looks_like_none_says_so(tmp_path, capsys):
+    asset = bumpy_sphere(tmp_path, 16)
+    command = [
+        "lod",
+        str(asset),
+        "--triangles",
+        "300,40",
+        "-o",
+        str(tmp_path / "out"),
+        "--quiet",
+        "--threshold",
+        "1e-6",
+    ]
+    assert cli.main([*command, *(x for s in SHORT for x in ("--set", s))]) == 0
+    assert "lod1 never looks like lod0" in capsys.readouterr().err
+    coarse = json.loads((tmp_path / "out" / "lod.json").read_text())["levels"][1]
+    assert coarse["screen_size"] == SIZES[-1] and coarse["target_resolution"] >= 64
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -31,8 +32,12 @@ from ..scenes.views import held_out_views
 from ..subjects import open_subject
 from .job import run_job
 
+log = logging.getLogger("mi_simplify")
+
 #: A level that is to be seen in larger images than this is an ordinary run: one sample shows it well [pixels].
 LARGEST_FILM = 512
+#: Images of a fit are no smaller than this: in fewer pixels a mesh drifts to where larger ones show that it is wrong.
+LEAST_FILM = 64
 
 
 @dataclass(frozen=True)
@@ -178,6 +183,7 @@ def lod_job(
             takes_over, measured = switching_size(
                 models[-2], models[-1], bounds, threshold, largest=largest, form=settings.latent.shading
             )
+            _warn_unlike(k, measured, threshold)
         levels.append(_level(folder, result.model, settings, takes_over, measured, time.perf_counter() - begun))
     levels = _judged(levels, models, bounds, config)
     _write_extras(out, levels, bounds / frame.scale + frame.center, extras)
@@ -188,6 +194,16 @@ def lod_job(
     }  # fmt: skip
     write_atomic(out / "lod.json", json.dumps(document, indent=2, allow_nan=False) + "\n")
     return Chain(out, levels, seconds)
+
+
+def _warn_unlike(k: int, measured: Mapping[int, float], threshold: float) -> None:
+    """Say so where a level does not look like the one above at any size."""
+    size = min(measured)
+    if measured[size] >= threshold:
+        log.warning(
+            "lod%d never looks like lod%d: their FLIP is %.3f even at %d px, which is written down; give it more "
+            "triangles, or raise --threshold (%g)", k, k - 1, measured[size], size, threshold,
+        )  # fmt: skip
 
 
 def _level(
@@ -205,10 +221,10 @@ def _level(
 
 
 def _film(size: float, bounds: np.ndarray, config: Config) -> int:
-    """Side of the fit's images that show a bounding sphere of this diameter [pixels], in whole tiles of four."""
+    """Side of a fit's images that show a bounding sphere of at least this diameter [pixels], in tiles of four."""
     radius = np.linalg.norm(bounds[1] - bounds[0]) / 2
     share = radius / (config.views.distance * np.tan(np.radians(config.views.fov) / 2))
-    return int(max(4 * round(size / share / 4), 16))
+    return int(max(4 * round(size / share / 4), LEAST_FILM))
 
 
 def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray, config: Config) -> list[Level]:
