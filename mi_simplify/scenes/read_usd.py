@@ -56,7 +56,9 @@ def read_usd(path: Path) -> Asset:
         asset = _Stage(stage, resources).read()
         _note_diagnostics(diagnostics, resources)
     except Tf.ErrorException as error:
-        raise AssetError(f"{path.name}: USD cannot read it: {reason_of(error)}") from error
+        raise AssetError(
+            f"{path.name}: USD cannot read it: {reason_of(error)}; write it again from where it came, or try `usdcat`"
+        ) from error
     return replace(asset, notes=tuple(notes))
 
 
