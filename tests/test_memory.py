@@ -35,7 +35,7 @@ def test_a_limit_counts_what_is_held_already():
         memory.require(50 << 20, "it", "do less")
         with pytest.raises(MemoryLimitError, match=r"it needs about 150 MB of memory, \d+ MB are left of"):
             memory.require(150 << 20, "it", "do less")
-    with memory.limited(held // 2), pytest.raises(MemoryLimitError, match=r"this process holds \d+ MB already"):
+    with memory.limited(held // 2), pytest.raises(MemoryLimitError, match=r"this process holds [\d.]+ [MG]B already"):
         memory.require(150 << 20, "it", "do less")
     with pytest.raises(MemoryLimitError, match="it needs about .* of memory, .* are free; do less"):
         memory.require(1 << 60, "it", "do less")
