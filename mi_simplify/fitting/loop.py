@@ -79,8 +79,7 @@ class Run:
             ``held_out_loss`` and ``psnr`` [dB]; ``beyond`` where something lies behind all layers, see ``Fit.beyond``.
         """
         loss, psnr = self.fit.judge()
-        # The first guess gives way to what is plainly better: the noise of a fit costs a mesh near the optimum more.
-        if loss < self.least * (_PLAINLY if self.best_step == 0 else 1):
+        if loss < self.least:
             self.least, self.best, self.best_step = loss, self.fit.parameters(), self.done
         return {"held_out_loss": loss, "psnr": psnr, **({"beyond": self.fit.beyond} if self.fit.beyond else {})}
 
@@ -177,7 +176,7 @@ def fit(
         if on_step is not None:
             on_step(run)
     if run.best_step == 0:
-        log.warning("no step of the fit was plainly better on held-out views than the first guess, which is kept")
+        log.warning("no step of the fit was better on held-out views than the first guess, which is kept as it was")
     elif run.best_step < run.n_steps:
         log.info("the model of step %d of %d is kept: it was the best on held-out views", run.best_step, run.n_steps)
     if run.fit.beyond > _MUCH_BEYOND:
@@ -193,9 +192,6 @@ _MUCH_BEYOND = 0.01
 
 #: What a state holds beside the fit's own.
 _KEPT = ("done", "records", "best", "best_step", "least", "setbacks")
-
-#: Share of the first guess's loss on held-out views that a fitted state has to stay below.
-_PLAINLY = 0.99
 
 #: Steps between two readings of the loss; each waits for the device.
 _LOG_EVERY = 10
