@@ -198,6 +198,7 @@ def tessellations(args) -> None:
     One displaced model for three tessellations at once, beside models that are fitted for one alone, in as many steps
     for each.
     """
+    from mi_simplify.latent.tessellation import tessellated
     from mi_simplify.report.evaluate import Judging, compare_assets
 
     common = [f"asset={args.asset}", "initial.triangles=1000", "initial.atlas_size=1024", *args.set]
@@ -206,9 +207,8 @@ def tessellations(args) -> None:
     subject, candidates = opened(common, None), {}
     for n in (1, 2, 3):
         alone = fitted([*common, steps, f"initial.subdivisions={n}"])[1]
-        shown = replace(together, displacement=replace(together.displacement, subdivisions=n, fitted=()))
         candidates[f"{4**n} times, alone"] = alone.as_asset()
-        candidates[f"{4**n} times, with the others"] = shown.as_asset()
+        candidates[f"{4**n} times, with the others"] = tessellated(together, n).as_asset()
     target = subject.frame.normalised(subject.geometry)
     comparison = compare_assets(target, candidates, Judging(n_views=args.views, resolution=256, spp=32))
     print("| | triangles | PSNR [dB] | FLIP | silhouette error |\n|---|---|---|---|---|")

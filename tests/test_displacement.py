@@ -91,10 +91,16 @@ def test_derivatives_by_base_and_map_against_differences():
         assert np.sum(grad * direction) == pytest.approx(difference, rel=2e-3)
 
 
-def test_derivatives_of_an_image_against_differences():
-    """Of an image, so that shading and outline of the displaced surface move, too; by base vertices and by the map."""
+@pytest.mark.parametrize("fitted", [(), (0, 1)])
+def test_derivatives_of_an_image_against_differences(fitted):
+    """
+    Of an image, so that shading and outline of the displaced surface move, too; by base vertices and by the map.
+
+    Fitted for a coarser one as well, it is shaded with that one's normals.
+    """
     start = model(4, subdivisions=1, amplitude=0.03)
-    latent = Latent(start)
+    assert start.displacement is not None
+    latent = Latent(replace(start, displacement=replace(start.displacement, fitted=fitted)))
     operation, renderer = latent.operation, DeferredRenderer(latent.topology)
     views = look_at([[0.4, 0.8, -3.1]], [0.02, 0, 0.01], [[2, 1.5, -2.5]], width=48, height=48, irradiance=2.0)
     weight = np.repeat(1.5 + np.sin(np.arange(48 * 48) / 500)[:, None], 4, axis=1)
@@ -106,7 +112,8 @@ def test_derivatives_of_an_image_against_differences():
         positions = operation.positions(values["base"], {"displacement": values["displacement"]}, views)
         renderer.move(positions)
         with dr.suspend_grad():
-            frame = renderer.render(latent.evaluate(positions), latent.textures, views, spp=spp, seed=mi.UInt32(seed))
+            surface = latent.evaluate(positions, values["base"], {"displacement": values["displacement"]}, views)
+            frame = renderer.render(surface, latent.textures, views, spp=spp, seed=mi.UInt32(seed))
         return np.sum(frame.image.numpy().T * weight)
 
     def gradient(seed):
@@ -116,7 +123,7 @@ def test_derivatives_of_an_image_against_differences():
         leaf = mi.Float(dr.detach(made))
         dr.enable_grad(leaf)
         renderer.move(dr.detach(leaf))
-        surface = latent.evaluate(leaf)
+        surface = latent.evaluate(leaf, values["base"], {"displacement": values["displacement"]}, views)
         frame = renderer.render(surface, latent.textures, views, spp=32, seed=mi.UInt32(seed))
         grad = upload(mi.Vector4f, weight)
         renderer.backward(frame, grad, surface, latent.textures, leaf, mi.UInt32(seed + 1000))
@@ -158,15 +165,31 @@ def test_a_coarser_tessellation_on_the_finest_topology_is_the_same_surface():
     assert np.abs(images[0] - images[2]).mean() > 1e-3
 
 
+def test_all_tessellations_of_one_model_share_the_normals_of_the_coarsest():
+    start = model(4, subdivisions=3)
+    assert start.displacement is not None
+    several = replace(start, displacement=replace(start.displacement, fitted=(1, 2, 3)))
+    coarse, middle, fine = (tessellated(several, level).mesh for level in (1, 2, 3))
+    np.testing.assert_allclose(coarse.normals(), tessellated(start, 1).mesh.normals())
+    np.testing.assert_allclose(fine.normals()[: len(middle.positions)], middle.normals(), atol=1e-12)
+    np.testing.assert_allclose(fine.normals()[: len(coarse.positions)], coarse.normals(), atol=1e-12)
+    ends = Tessellation.of(start.mesh, 3).position_edges[2]
+    between = fine.normals()[ends].sum(1)
+    between /= np.linalg.norm(between, axis=1, keepdims=True)
+    np.testing.assert_allclose(fine.normals()[len(middle.positions) :], between, atol=5e-3)  # linear, then of length 1
+    own = tessellated(start, 3).mesh.normals()
+    assert np.degrees(np.arccos(np.sum(own * fine.normals(), axis=1).clip(-1, 1))).max() > 1
+
+
 def test_views_that_name_no_tessellation_show_the_finest():
     start = model(2, subdivisions=2)
     assert start.displacement is not None
     several = replace(start, displacement=replace(start.displacement, fitted=(0, 2)))
     views = look_at([[0.4, 0.8, -3.1]], [0.02, 0, 0.01], [[2, 1.5, -2.5]], width=32, height=32)
     finest, coarsest, shown = (
-        Screen(m, mips="none").images(views, spp=4) for m in (start, tessellated(start, 0), several)
+        Screen(m, mips="none").images(views, spp=4) for m in (tessellated(several), tessellated(several, 0), several)
     )
-    np.testing.assert_allclose(shown, finest, atol=1e-5)
+    np.testing.assert_allclose(shown, finest, atol=5e-5)  # normals interpolated in single and in double precision
     assert np.abs(shown - coarsest).mean() > 1e-3
 
 

@@ -101,6 +101,37 @@ def test_forward_mode_agrees_with_backward_mode(sphere):
     assert dr.dot(dr.grad(positions), direction)[0] == pytest.approx(forward, rel=1e-3)
 
 
+def test_derivative_by_given_normals(sphere):
+    """Those of the packets are the given ones, which the tangents are made perpendicular to."""
+    rng = np.random.default_rng(6)
+    given = sphere.mesh.normals() + 0.2 * rng.normal(size=sphere.mesh.normals().shape)
+    given /= np.linalg.norm(given, axis=1, keepdims=True)
+    weight, direction = rng.normal(size=(155, 12)), rng.normal(size=given.shape)
+    direction -= given * np.sum(direction * given, axis=1, keepdims=True)  # they stay of unit length
+
+    def moved(eps):
+        normals = given + eps * direction
+        own = replace(sphere.mesh, own_normals=normals / np.linalg.norm(normals, axis=1, keepdims=True))
+        return numpy_packets(own, own.positions)
+
+    positions, normals = flat(sphere.mesh.positions), flat(given)
+    np.testing.assert_allclose(sphere.surface(positions, normals).packets.numpy().reshape(-1, 12), moved(0), atol=2e-5)
+    difference = np.sum((moved(1e-5) - moved(-1e-5)) / 2e-5 * weight)
+    adjoint, along = mi.Float(weight.astype(np.float32).ravel()), flat(direction)
+    dr.enable_grad(normals)
+    dr.backward(dr.sum(sphere.surface(positions, normals).packets * adjoint))
+    assert dr.dot(dr.grad(normals), along)[0] == pytest.approx(difference, rel=2e-3)
+    assert np.abs(dr.grad(positions).numpy()).max() == 0  # they asked for no gradient
+
+    normals = flat(given)
+    dr.enable_grad(normals)
+    out = sphere.surface(positions, normals).packets
+    dr.set_grad(normals, along)
+    dr.enqueue(dr.ADMode.Forward, normals)
+    dr.traverse(dr.ADMode.Forward)
+    assert dr.sum(dr.grad(out) * adjoint)[0] == pytest.approx(difference, rel=2e-3)
+
+
 def test_degenerate_faces_leave_everything_finite():
     """A face without area, two positions at one place, a face without UV area, a position without a face."""
     positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [1, 0, 0], [5, 5, 5], [0, -1, 0]], float)

@@ -165,7 +165,7 @@ class Fit:
 
     def _state(self, views: Views) -> tuple[Model, Surface, Textures]:
         positions, surface = self._moved(views)
-        return self.latent.shown(positions.numpy()), surface, self.latent.textures
+        return self.latent.shown(positions.numpy(), surface), surface, self.latent.textures
 
     def _look(self, views: Views, seed: int = 1) -> np.ndarray:
         """The current state from some views, shape (B, H, W, 4), without what the reference alone computes."""

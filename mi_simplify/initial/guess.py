@@ -50,6 +50,7 @@ def first_guess(
     crease_angle: float = 20.0,
     output: str = "mask",
     subdivisions: int = 0,
+    tessellations: tuple[int, ...] = (),
 ) -> tuple[Model, list[str]]:
     """
     A model to start from.
@@ -90,6 +91,8 @@ def first_guess(
         How cards are transparent.
     subdivisions : int
         Split the faces so many times, and displace what comes of it onto the asset.
+    tessellations : tuple of int
+        Subdivisions that it is to be fitted for at once, whose coarsest the normal map belongs to.
 
     Returns
     -------
@@ -146,7 +149,7 @@ def first_guess(
     notes += more
     model = replace(_plain(asset, mesh, atlas_size, textures, seed), name=asset.name)
     if subdivisions:
-        model = displaced_onto(asset, model, subdivisions)
+        model = displaced_onto(asset, model, subdivisions, tessellations)
         mesh = tessellated(model).mesh
         notes.append(f"{len(model.mesh.faces)} triangles of a base mesh are split in {4**subdivisions} and displaced")
     if textures == "bake":
@@ -175,7 +178,7 @@ def _told(notes: list[str]) -> list[str]:
     return notes
 
 
-def displaced_onto(asset: Asset, model: Model, subdivisions: int) -> Model:
+def displaced_onto(asset: Asset, model: Model, subdivisions: int, tessellations: tuple[int, ...] = ()) -> Model:
     """
     The model with a displacement map that brings its base mesh, subdivided, onto the asset: heights by ray casting.
 
@@ -186,7 +189,7 @@ def displaced_onto(asset: Asset, model: Model, subdivisions: int) -> Model:
     height = bake(asset, tessellation.base, size=size, samples=1).height
     while size % 2 == 0 and (size // 2) ** 2 >= 2 * len(tessellation.mesh.positions):
         height, size = halved(height), size // 2
-    displacement = Displacement(height[..., 0].astype(np.float32), subdivisions)
+    displacement = Displacement(height[..., 0].astype(np.float32), subdivisions, tessellations)
     return replace(model, mesh=tessellation.base, displacement=displacement)
 
 

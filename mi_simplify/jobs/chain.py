@@ -26,7 +26,7 @@ from ..progress import Progress, ProgressCallback, silent
 from ..record.output import RunFolder
 from ..report.metrics import flip, psnr
 from ..report.screen import Screen
-from ..report.switching import switching_size
+from ..report.switching import switching_size, views_of
 from ..scenes.reference import Reference
 from ..scenes.views import held_out_views
 from ..subjects import open_subject
@@ -257,7 +257,7 @@ def _strict(
     model: Model, reference: Reference, bounds: np.ndarray, size: int, config: Config
 ) -> tuple[np.ndarray, np.ndarray]:
     """Images of the reference, and of a model with one sample in the middle of each pixel."""
-    views = held_out_views(bounds, 8, size, config.seed)
+    views = held_out_views(bounds, views_of(size, 8), size, config.seed)
     screen = Screen(model, form=config.latent.shading, shade="centre")
     return reference.render(views, config.seed), screen.images(views, spp=1)
 

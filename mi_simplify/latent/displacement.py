@@ -12,8 +12,9 @@ import numpy as np
 
 from ..machine.upload import upload
 from ..scenes.views import Views
-from .model import Model
+from .model import Mesh, Model
 from .surface import MeshTopology, Surface
+from .tangents import split_mirrored
 from .tessellation import Tessellation, bilinear
 
 
@@ -28,7 +29,7 @@ class Displaced:
     Fitted for several tessellations at once, views say by their ``subdivisions`` which one they show. A coarser one is
     made on the topology of the finest all the same, whose further vertices then lie in the middle of the coarse edges,
     and have the means of the coarse normals, tangents and texture coordinates: the same surface, to the bit of its
-    image.
+    image. All of them are shaded with the normals of the coarsest, see :attr:`.model.Displacement.framed`.
 
     Parameters
     ----------
@@ -44,10 +45,7 @@ class Displaced:
         self.mesh = replace(tessellation.mesh, positions=tessellation.positions(self.base.positions, self._height))
         self.parameters = {"displacement": displacement.height.ravel()}
         self._topology = MeshTopology(self.base)
-        # Of every base position one of its vertices, all of which share its normal.
-        first = np.zeros(len(self.base.positions), np.int64)
-        first[self._topology.mesh.position_index] = np.arange(self._topology.n_vertices)
-        self._vertex = upload(mi.UInt32, first)
+        self._vertex, self._framed = _a_vertex_each(self._topology.mesh), displacement.framed
         self._edges = [tuple(upload(mi.UInt32, end) for end in edges.T) for edges in tessellation.position_edges]
         index, weight = bilinear(self.mesh.uvs, displacement.height.shape)
         where, n = self.mesh.position_index, len(self.mesh.positions)
@@ -57,17 +55,16 @@ class Displaced:
         self._where, self._n = upload(mi.UInt32, where), n
         self._vertex_edges = [tuple(upload(mi.UInt32, end) for end in edges.T) for edges in tessellation.vertex_edges]
         self._coarser = {k: Tessellation.of(model.mesh, k).mesh for k in displacement.fitted}
+        self._frame_vertex = _a_vertex_each(split_mirrored(self._coarser.get(self._framed, self.mesh)))
         self._topologies: dict[int, MeshTopology] = {}
 
     def positions(self, base: mi.Float, parameters: dict[str, mi.Float], views: Views) -> mi.Float:
         """See :class:`.operation.MeshOperation`."""
-        packets = self._topology.surface(base).packets
-        normals = mi.Vector3f(dr.gather(mi.Vector4f, packets, self._vertex * 3 + 1).xyz)
-        points = mi.Vector3f(dr.gather(mi.Point3f, base, dr.arange(mi.UInt32, dr.width(self._vertex))))
         level = self._level(views)
+        normals = self._normals(self._topology, base, self._vertex, self._edges[:level])
+        points = mi.Vector3f(dr.gather(mi.Point3f, base, dr.arange(mi.UInt32, dr.width(self._vertex))))
         for edges in self._edges[:level]:
-            points, normals = (_with_midpoints(x, *edges) for x in (points, normals))
-        normals *= dr.rsqrt(dr.maximum(dr.squared_norm(normals), 1e-12))
+            points = _with_midpoints(points, *edges)
         height, total = parameters["displacement"], mi.Float(0)
         for texel, weight in zip(self._texels, self._weights, strict=True):
             total = total + dr.gather(mi.Float, height, texel) * weight
@@ -77,6 +74,23 @@ class Displaced:
         for edges in self._edges[level:]:
             points = _with_midpoints(points, *edges)
         return dr.ravel(points)
+
+    @staticmethod
+    def _normals(topology: MeshTopology, positions: mi.Float, vertex: mi.UInt32, edges: list) -> mi.Vector3f:
+        """Unit normals of a mesh at a vertex of each of its positions, interpolated along what is appended."""
+        normals = mi.Vector3f(dr.gather(mi.Vector4f, topology.surface(positions).packets, vertex * 3 + 1).xyz)
+        for ends in edges:
+            normals = _with_midpoints(normals, *ends)
+        return normals * dr.rsqrt(dr.maximum(dr.squared_norm(normals), 1e-12))
+
+    def _shown(self, level: int, finest: MeshTopology, positions: mi.Float) -> tuple[MeshTopology, mi.Float]:
+        """The mesh of so many subdivisions, and its own of the positions."""
+        if level == len(self._edges):
+            return finest, positions
+        if level not in self._topologies:
+            self._topologies[level] = MeshTopology(self._coarser[level], finest.has_density)
+        topology = self._topologies[level]
+        return topology, dr.gather(mi.Float, positions, dr.arange(mi.UInt32, 3 * topology.n_positions))
 
     def _level(self, views: Views | None) -> int:
         """Subdivisions that views show; reads them where there is a choice."""
@@ -89,13 +103,12 @@ class Displaced:
         self, topology: MeshTopology, positions: mi.Float, base: mi.Float, parameters: dict[str, mi.Float], views: Views
     ) -> Surface:
         """See :class:`.operation.MeshOperation`."""
-        level = self._level(views)
-        if level == len(self._edges):
-            return topology.surface(positions)
-        if level not in self._topologies:
-            self._topologies[level] = MeshTopology(self._coarser[level], topology.has_density)
-        coarse = self._topologies[level]
-        packets = coarse.surface(dr.gather(mi.Float, positions, dr.arange(mi.UInt32, 3 * coarse.n_positions))).packets
+        level, normals = self._level(views), None
+        if level > self._framed:
+            coarse = self._shown(self._framed, topology, positions)
+            normals = dr.ravel(self._normals(*coarse, self._frame_vertex, self._edges[self._framed : level]))
+        shown, own = self._shown(level, topology, positions)
+        packets = shown.surface(own, normals).packets
         for ends in self._vertex_edges[level:]:
             packets = _with_middle_packets(packets, *ends)
         return Surface(packets, topology.faces)
@@ -105,6 +118,13 @@ class Displaced:
         assert model.displacement is not None
         height = np.asarray(parameters["displacement"], np.float32).reshape(self._height.shape)
         return replace(model, displacement=replace(model.displacement, height=height))
+
+
+def _a_vertex_each(mesh: Mesh) -> mi.UInt32:
+    """Of every position one of its vertices, all of which share its normal."""
+    first = np.zeros(len(mesh.positions), np.int64)
+    first[mesh.position_index] = np.arange(len(mesh.uvs))
+    return upload(mi.UInt32, first)
 
 
 def _with_middle_packets(packets: mi.Float, first: mi.UInt32, second: mi.UInt32) -> mi.Float:

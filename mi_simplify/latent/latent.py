@@ -73,11 +73,14 @@ class Latent:
         model = self._with(self._model.mesh, base)
         return self.operation.written(model, {**self.operation.parameters, **(parameters or {})})
 
-    def shown(self, positions: np.ndarray) -> Model:
+    def shown(self, positions: np.ndarray, surface: Surface) -> Model:
         """
-        The rendered mesh at rendered positions, with the textures, as a model without an operation.
+        The rendered mesh at rendered positions, with the normals of its surface and the textures, as a model without an
+        operation.
         """
-        model = self._with(self.topology.mesh, positions)
+        mesh = self.topology.mesh
+        normals = surface.packets.numpy().reshape(-1, 12)[:, 4:7].astype(np.float64)
+        model = self._with(replace(mesh, normal_index=np.arange(len(mesh.uvs)), own_normals=normals), positions)
         return Model(model.mesh, model.base_color, model.specular, model.normal, model.alpha_mode, model.alpha_cutoff)
 
     def _with(self, mesh: Mesh, positions: np.ndarray) -> Model:

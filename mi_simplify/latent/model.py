@@ -32,6 +32,8 @@ class Mesh:
     normal_index : ndarray, shape (V,), int64, optional
         Vertices with the same number share a normal; a crease runs where those of one position differ. Without it all
         of one position share one.
+    own_normals : ndarray, shape (G, 3), float64, optional
+        Unit normals, one a normal group, where they are not those of the faces.
     """
 
     positions: np.ndarray
@@ -39,6 +41,7 @@ class Mesh:
     uvs: np.ndarray
     faces: np.ndarray
     normal_index: np.ndarray | None = None
+    own_normals: np.ndarray | None = None
 
     @property
     def normal_groups(self) -> np.ndarray:
@@ -47,8 +50,10 @@ class Mesh:
 
     def normals(self) -> np.ndarray:
         """
-        Unit normals weighted by area and angle, one a normal group, shape (G, 3), float64.
+        Its own normals, or those of the faces weighted by area and angle: one a normal group, shape (G, 3), float64.
         """
+        if self.own_normals is not None:
+            return self.own_normals
         groups = None if self.normal_index is None else self.normal_index[self.faces]
         return vertex_normals(self.positions, self.position_faces, groups, by_area=True)
 
@@ -81,6 +86,16 @@ class Displacement:
     height: np.ndarray
     subdivisions: int
     fitted: tuple[int, ...] = ()
+
+    @property
+    def framed(self) -> int:
+        """
+        Subdivisions of the displaced mesh whose normals, interpolated, shade all finer ones: the coarsest one fitted.
+
+        So one normal map serves them all. Normals of the base mesh would do so as well, and for a mesh that its user
+        subdivides further, but lie so far from those of the relief that path tracers show it too dark.
+        """
+        return min((self.subdivisions, *self.fitted))
 
 
 @dataclass(frozen=True)

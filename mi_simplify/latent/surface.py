@@ -59,15 +59,18 @@ class MeshTopology:
         faces4 = np.concatenate([mesh.faces, np.zeros((self.n_faces, 1), np.int64)], axis=1)
         self.faces = upload(mi.UInt32, faces4.ravel())
         self._stencil, self.has_density = _Stencil.of(mesh, density), density
+        self._normals = None if mesh.own_normals is None else upload(mi.Float, mesh.own_normals.ravel())
 
-    def surface(self, positions: mi.Float) -> Surface:
+    def surface(self, positions: mi.Float, normals: mi.Float | None = None) -> Surface:
         """
-        The surface of welded positions, flat ``x0 y0 z0 …``, width P·3; gradients flow back to them.
+        The surface of welded positions, flat ``x0 y0 z0 …``, width P·3; gradients flow back to them, and to unit
+        normals, one a normal group, flat as well, where they are given. Without them those of the mesh's own stay.
 
-        Normals are weighted by area and angle, tangents as in MikkTSpace (paper, Sect. 5.1): the functions of
+        Where there are neither, normals are weighted by area and angle, tangents as in MikkTSpace (paper, Sect. 5.1): the functions of
         ``topology.vertex_normals`` and ``tangents.vertex_tangents``, in Dr.Jit.
         """
-        return Surface(dr.custom(_PacketsOp, self._stencil, positions), self.faces)
+        normals = self._normals if normals is None else normals
+        return Surface(dr.custom(_PacketsOp, self._stencil, positions, normals), self.faces)
 
 
 @dataclass
@@ -117,11 +120,10 @@ class _Stencil:
             else None,
         )
 
-    def packets(self, positions: mi.Float) -> mi.Float:
-        positions = dr.gather(mi.Point3f, positions, dr.arange(mi.UInt32, dr.width(positions) // 3))
-        positions = dr.ravel(_padded(positions))
+    def packets(self, positions: mi.Float, normals: mi.Float | None) -> mi.Float:
+        positions = _in_fours(positions)
         face_p = [mi.Point3f(dr.gather(mi.Vector4f, positions, i).xyz) for i in self.face_positions]
-        normals = self._normals(face_p)
+        normals = self._normals(face_p) if normals is None else _in_fours(normals)
         corner_n = [mi.Vector3f(dr.gather(mi.Vector4f, normals, i).xyz) for i in self.face_normals]
         tangents = self._tangents(face_p, corner_n)
 
@@ -182,45 +184,58 @@ class _PacketsOp(dr.CustomOp):
     :meth:`_Stencil.packets`, recorded at the first call: tracing it took longer than computing it.
     """
 
-    def eval(self, stencil, positions):
-        self.stencil, self.positions = stencil, positions
-        return _packets(stencil, positions)
+    def eval(self, stencil, positions, normals):
+        self.stencil, self.positions, self.normals = stencil, positions, normals
+        return _packets(stencil, positions, normals)
 
     def forward(self):
-        self.set_grad_out(_packets_forward(self.stencil, self.positions, self.grad_in("positions")))
+        grads = self.grad_in("positions"), None if self.normals is None else self.grad_in("normals")
+        self.set_grad_out(_packets_forward(self.stencil, self.positions, self.normals, *grads))
 
     def backward(self):
-        self.set_grad_in("positions", _packets_backward(self.stencil, self.positions, self.grad_out()))
+        grads = _packets_backward(self.stencil, self.positions, self.normals, self.grad_out())
+        self.set_grad_in("positions", grads[0])
+        if self.normals is not None:
+            self.set_grad_in("normals", grads[1])
 
     def name(self):
         return "Packets"
 
 
 @frozen()
-def _packets(stencil, positions):
-    return stencil.packets(positions)
+def _packets(stencil, positions, normals):
+    return stencil.packets(positions, normals)
 
 
 @frozen()
-def _packets_forward(stencil, positions, grad):
-    positions = mi.Float(positions)
-    dr.enable_grad(positions)
-    packets = stencil.packets(positions)
-    dr.set_grad(positions, grad)
-    dr.enqueue(dr.ADMode.Forward, positions)
+def _packets_forward(stencil, positions, normals, positions_grad, normals_grad):
+    inputs, packets = _tracked(stencil, positions, normals)
+    for x, grad in zip(inputs, (positions_grad, normals_grad), strict=False):
+        dr.set_grad(x, grad)
+        dr.enqueue(dr.ADMode.Forward, x)
     dr.traverse(dr.ADMode.Forward)
     return dr.grad(packets)
 
 
 @frozen()
-def _packets_backward(stencil, positions, grad):
-    positions = mi.Float(positions)
-    dr.enable_grad(positions)
-    packets = stencil.packets(positions)
+def _packets_backward(stencil, positions, normals, grad):
+    inputs, packets = _tracked(stencil, positions, normals)
     dr.set_grad(packets, grad)
     dr.enqueue(dr.ADMode.Backward, packets)
     dr.traverse(dr.ADMode.Backward)
-    return dr.grad(positions)
+    return [dr.grad(x) for x in inputs]
+
+
+def _tracked(stencil, positions, normals):
+    """Copies of what is given, with gradients, and the packets of them."""
+    inputs = [mi.Float(x) for x in (positions, normals) if x is not None]
+    dr.enable_grad(inputs)
+    return inputs, stencil.packets(inputs[0], inputs[1] if len(inputs) > 1 else None)
+
+
+def _in_fours(flat: mi.Float) -> mi.Float:
+    """Flat triples, each padded to four."""
+    return dr.ravel(_padded(dr.gather(mi.Vector3f, flat, dr.arange(mi.UInt32, dr.width(flat) // 3))))
 
 
 def _padded(x: mi.Vector3f) -> mi.Vector4f:

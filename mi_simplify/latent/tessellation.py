@@ -61,9 +61,16 @@ class Tessellation:
         """
         points, normals = np.asarray(base, np.float64), replace(self.base, positions=np.asarray(base)).normals()
         for edges in self.position_edges:
-            points, normals = midpoints(points, edges), midpoints(normals, edges)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        return points + normals * self._heights(height)[:, None]
+            points = midpoints(points, edges)
+        return points + self.interpolated(normals, 0) * self._heights(height)[:, None]
+
+    def interpolated(self, normals: np.ndarray, level: int) -> np.ndarray:
+        """
+        Unit normals of the positions of so many subdivisions, interpolated to all, shape (P, 3).
+        """
+        for edges in self.position_edges[level:]:
+            normals = midpoints(normals, edges)
+        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
     def _heights(self, height: np.ndarray) -> np.ndarray:
         """At the positions: the mean over their vertices, which along a seam read two places of the map."""
@@ -105,9 +112,13 @@ def tessellated(model: Model, subdivisions: int | None = None) -> Model:
     displacement = model.displacement
     if displacement is None:
         return model
-    tessellation = Tessellation.of(model.mesh, displacement.subdivisions if subdivisions is None else subdivisions)
-    points = tessellation.positions(model.mesh.positions, displacement.height)
-    return replace(model, mesh=replace(tessellation.mesh, positions=points), displacement=None)
+    level = displacement.subdivisions if subdivisions is None else subdivisions
+    tessellation = Tessellation.of(model.mesh, level)
+    mesh = replace(tessellation.mesh, positions=tessellation.positions(model.mesh.positions, displacement.height))
+    if level > displacement.framed:
+        coarse = tessellated(model, displacement.framed).mesh
+        mesh = replace(mesh, own_normals=tessellation.interpolated(coarse.normals(), displacement.framed))
+    return replace(model, mesh=mesh, displacement=None)
 
 
 def _split(mesh: Mesh) -> tuple[Mesh, np.ndarray, np.ndarray]:

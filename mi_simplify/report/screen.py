@@ -53,7 +53,7 @@ class Screen:
             for index, part in views.by_shape():
                 positions = operation.positions(base, parameters, part)
                 self.renderer.move(positions)
-                surface = self.latent.evaluate(positions)
+                surface = self.latent.evaluate(positions, base, parameters, part)
                 frame = self.renderer.render(
                     surface, self.latent.textures, part.under(self.ambient), spp=spp, seed=dr.opaque(mi.UInt32, seed)
                 )

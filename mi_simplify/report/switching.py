@@ -17,6 +17,16 @@ from .screen import Screen
 #: Sides of the square images that are compared [pixels], which the bounding sphere of the model just fills.
 SIZES = tuple(int(4 * round(2 ** (k / 2) / 4)) for k in range(20, 5, -1))
 
+#: Images of a larger side are costly [pixels].
+LARGE = 512
+
+
+def views_of(size: int, n_views: int) -> int:
+    """
+    How many images of a side to look at: half as many of large ones, which have pixels enough.
+    """
+    return n_views if size <= LARGE else max(1, n_views // 2)
+
 
 def difference(above: Screen, level: Screen, views: Views) -> float:
     """
@@ -52,6 +62,8 @@ def switching_size(
         Of :func:`difference`.
     largest : float
         Nothing above this is tried [pixels].
+    n_views : int
+        Of small images, see :func:`views_of`.
     told : callable, optional
         Called with every size that is tried.
 
@@ -71,7 +83,8 @@ def switching_size(
     def is_alike(k: int) -> bool:
         if told is not None:
             told(sizes[k])
-        found[sizes[k]] = difference(finer, coarser, held_out_views(bounds, n_views, sizes[k], seed=7))
+        count = views_of(sizes[k], n_views)
+        found[sizes[k]] = difference(finer, coarser, held_out_views(bounds, count, sizes[k], seed=7))
         return found[sizes[k]] < threshold
 
     # The first of the falling sizes that is alike, by bisection: every size is kernels of its own.

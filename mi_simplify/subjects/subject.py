@@ -83,12 +83,11 @@ class Subject:
             repair=initial.repair and "vertices" in self.config.latent.optimize,
             oversample=initial.oversample,
             subdivisions=initial.subdivisions,
+            tessellations=initial.tessellations,
             seed=self.config.seed,
             crease_angle=initial.crease_angle,
             output=self.config.opacity.cards,
         )
-        if model.displacement is not None:
-            model = replace(model, displacement=replace(model.displacement, fitted=initial.tessellations))
         if initial.vertex_sets > 1:
             sizes = tuple(float(max(self.config.optimizer.resolution) / 2**k) for k in range(initial.vertex_sets))
             offsets = np.zeros((len(sizes) - 1, *model.mesh.positions.shape))

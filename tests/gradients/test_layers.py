@@ -46,7 +46,7 @@ def test_gradients_of_cards(layers):
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("layers", [1, 2, 8])
 def test_gradients_of_one_card_among_others(layers):
-    pairs = measured(cards(layers=layers), _SLOW, spp=512, gradient_spp=128, rounds=(8, 96))
+    pairs = measured(cards(layers=layers), _SLOW, spp=128, gradient_spp=32, rounds=(8, 384))
     assert len(pairs) == len(_SLOW)
     assert not [str(p) for p in pairs if not p.passes]
 
