@@ -47,10 +47,10 @@ browser: $(VENV)/.browser
 demo: install
 	$(BIN)/mi-simplify run scenes/demo.yaml -o $(OUT) --overwrite $(ARGS)
 
-test: browser
-	$(BIN)/python -m pytest -m "not slow" $(ARGS)
-
 # Two at a time: a test keeps little more than one core busy.
+test: browser
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal $(ARGS)
+
 slow: browser
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal $(ARGS)
 

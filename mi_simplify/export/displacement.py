@@ -57,8 +57,8 @@ def write_displacement(model: Model, folder: Path, *, extras: dict | None = None
         "normals_of": displacement.framed, "low": low, "high": high, "png": "height.png", "exr": "height.exr",
         "rule": "split every triangle at the midpoints of its edges so many times, positions and normals interpolated, "
         "and move every vertex along its unit normal by what the map holds at its texture coordinate; the mean of all "
-        "texture coordinates of a position along seams; the normal map belongs to the normals that the displaced mesh has "
-        "after normals_of subdivisions, interpolated to finer ones",
+        "texture coordinates of a position along seams; the normal map belongs to the normals that the displaced mesh "
+        "has after normals_of subdivisions, interpolated to finer ones",
     }  # fmt: skip
     return [
         write_glb(base, folder / "base.glb", extras={**(extras or {}), "displacement": facts}),

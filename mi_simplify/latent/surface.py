@@ -66,8 +66,8 @@ class MeshTopology:
         The surface of welded positions, flat ``x0 y0 z0 …``, width P·3; gradients flow back to them, and to unit
         normals, one a normal group, flat as well, where they are given. Without them those of the mesh's own stay.
 
-        Where there are neither, normals are weighted by area and angle, tangents as in MikkTSpace (paper, Sect. 5.1): the functions of
-        ``topology.vertex_normals`` and ``tangents.vertex_tangents``, in Dr.Jit.
+        Where there are neither, normals are weighted by area and angle; tangents are as in MikkTSpace (paper, Sect.
+        5.1): the functions of ``topology.vertex_normals`` and ``tangents.vertex_tangents``, in Dr.Jit.
         """
         normals = self._normals if normals is None else normals
         return Surface(dr.custom(_PacketsOp, self._stencil, positions, normals), self.faces)
