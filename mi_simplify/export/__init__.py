@@ -12,6 +12,7 @@ from .files import make_folder
 from .gltf import write_glb as write_glb
 from .mips import write_mips
 from .obj import write_obj as write_obj
+from .own_normals import with_own_normals
 
 FORMATS = {"glb": "model.glb", "obj": "model.obj", "usd": "model.usdc"}
 """File name of each format that :func:`export_model` writes."""
@@ -24,7 +25,8 @@ def export_model(
     Write a model in several formats into one folder, which is created where it is missing.
 
     Mip levels of the model's own go into ``mips/``: what these formats carry is the finest one alone.
-    A displaced model is written as the fine mesh that it stands for; base mesh and map go into ``displacement/``.
+    A displaced model is written as the fine mesh that it stands for; base mesh and map go into ``displacement/``. The
+    fine mesh's normal map belongs to its own normals, the base mesh's to those that all tessellations share.
 
     Parameters
     ----------
@@ -57,7 +59,7 @@ def export_model(
         from .displacement import write_displacement
 
         write_displacement(model, make_folder(folder / "displacement"), extras=extras)
-        model = tessellated(model)
+        model = with_own_normals(tessellated(model))
     for name, path in paths.items():
         if name == "glb":
             write_glb(model, path, extras=extras)

@@ -18,7 +18,7 @@ from ..scenes.shapes import make_mesh
 from .soup import Soup
 
 NO_FACE = 0xFFFFFFFF
-_LOWEST = 0.05
+LOWEST = 0.05
 """Least z of a baked normal: what turns away from the low-poly surface is laid almost flat onto it."""
 
 
@@ -229,7 +229,7 @@ class Detail:
         local = self.normal.at(m, uv)
         n = dr.normalize(t * local.x + b * local.y + n * local.z)
         n = dr.select(dr.dot(_face_normal(self.packets, corners, True), s.n) < 0, -n, n)  # seen from its back
-        z = dr.maximum(dr.dot(s.n, n), _LOWEST)
+        z = dr.maximum(dr.dot(s.n, n), LOWEST)
         low = dr.normalize(mi.Vector3f(dr.dot(s.t, n), s.w * dr.dot(dr.cross(s.n, s.t), n), z))
         height = dr.dot(pu.xyz - s.p, s.n)
         rgb = base.xyz
