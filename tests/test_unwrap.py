@@ -108,6 +108,13 @@ def test_the_time_limit_is_kept_and_said():
     check_layout(mesh, p, f, 512)
 
 
+def test_without_xatlas_creases_keep_their_two_normals():
+    mesh, notes = unwrap(BOX, BOX_FACES, atlas_size=128, crease_angle=30, time_limit=0.01)
+    assert len(notes) == 1
+    check_layout(mesh, BOX, BOX_FACES, 128)
+    assert np.allclose(np.abs(mesh.normals()[mesh.normal_groups]).max(1), 1)
+
+
 def test_a_failure_of_xatlas_is_said_with_its_reason(monkeypatch):
     done = subprocess.CompletedProcess([], 1, b"", b"Traceback\nRuntimeError: no charts today\n")
     monkeypatch.setattr(subprocess, "run", lambda *a, **k: done)

@@ -75,7 +75,7 @@ def unwrap(
         index, uvs, out_faces = _run_xatlas(points, corners, normals, atlas_size, padding, time_limit)
     except _Failed as failure:
         notes.append(f"xatlas {failure}; every triangle is a chart of its own, which wastes texels and adds seams")
-        index, uvs, out_faces = triangle_charts(positions, corners, atlas_size, padding)
+        index, uvs, out_faces = triangle_charts(points, corners, atlas_size, padding)
     uvs[:, 1] = atlas_size - uvs[:, 1]  # xatlas winds its charts for v up
     mesh = Mesh(
         np.asarray(positions, np.float64),
