@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import OutputError
 from ..latent.model import Model
 from ..latent.tessellation import tessellated
+from ..scenes.asset import Asset
+from ..scenes.load import load_asset
 from .files import make_folder
 from .gltf import write_glb as write_glb
 from .mips import write_mips
@@ -70,3 +74,14 @@ def export_model(
 
             write_usd(model, path, extras=extras)
     return paths
+
+
+def as_exported(model: Model) -> Asset:
+    """
+    A model as a reader of its GLB file sees it, its textures of 8 bits: FLIP tells them from what they were made of.
+
+    Ambient light, which files do not carry, stays.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        asset = load_asset(export_model(model, folder, formats=["glb"])["glb"])
+    return replace(asset, name=model.name, ambient=model.ambient)

@@ -12,7 +12,7 @@ from typing import Any
 from .. import __version__
 from ..config import Config, dump, load_config
 from ..errors import Defect
-from ..export import export_model
+from ..export import as_exported, export_model
 from ..export.files import write_atomic
 from ..initial import first_guess
 from ..latent.model import Model
@@ -144,10 +144,10 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         clock.lap("export")
         result = replace(load_asset(written), ambient=model.ambient)  # formats but GLB do not carry it
         shown = self_check(fitted.model, frame.normalised(result), form=config.latent.shading)
-        candidates = {"first guess": guess.as_asset(), "result": result}
+        candidates = {"first guess": as_exported(guess), "result": result}
         if config.evaluation.baseline:
             baseline = subject.baseline(guess.n_triangles)
-            candidates = {"quadrics": frame.restored(baseline).as_asset(), **candidates}
+            candidates = {"quadrics": as_exported(frame.restored(baseline)), **candidates}
         comparison = subject.judge(candidates, Judging.of(config), progress)
         clock.lap("evaluate")
         run = {
