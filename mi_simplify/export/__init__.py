@@ -84,4 +84,4 @@ def as_exported(model: Model) -> Asset:
     """
     with tempfile.TemporaryDirectory() as folder:
         asset = load_asset(export_model(model, folder, formats=["glb"])["glb"])
-    return replace(asset, name=model.name, ambient=model.ambient)
+    return replace(asset, name=model.name, ambient=model.ambient, source="")  # the file is gone
