@@ -25,6 +25,7 @@ import mi_simplify as ms
 from mi_simplify.config import load_config
 
 ROOT = Path(__file__).resolve().parents[1]
+GOLD = (1.0, 0.77, 0.34)
 
 
 def opened(settings: list[str], metal: float | None):
@@ -33,7 +34,7 @@ def opened(settings: list[str], metal: float | None):
 
     subject = open_subject(load_config(None, settings))
     if metal is not None:
-        colour, specular = np.float32([[[1.0, 0.77, 0.34, 1.0]]]), np.float32([[[0, metal, 1]]])
+        colour, specular = np.float32([[[*GOLD, 1.0]]]), np.float32([[[0, metal, 1]]])
         gold = [replace(p, material=replace(p.material, base_color=colour, specular=specular, normal=None))
                 for p in subject.geometry.parts]  # fmt: skip
         subject.geometry = replace(subject.geometry, parts=tuple(gold))
@@ -68,25 +69,53 @@ class Judge:
         reference.sampler = {"type": "stratified", "jitter": anywhere}
         return reference.render(self.views, 6)
 
-    def best(self, fine: int = 8) -> np.ndarray:
-        """
-        What one sample a pixel can show at best: the truth but for pixels in which an outline lies, of the asset or of
-        a part before another; those show what lies in their middle.
-        """
+    def fine(self, k: int, integrator: dict, times: int = 8) -> np.ndarray:
+        """What an integrator finds at ``times`` by ``times`` places of every pixel of view k, shape (H, t, W, t, C)."""
         from mi_simplify.scenes.mitsuba_reference import MitsubaReference, make_reference
 
         reference = make_reference(self.asset, spp=1)
         assert isinstance(reference, MitsubaReference)
-        reference.integrator, reference.sampler = {"type": "depth"}, {"type": "stratified", "jitter": False}
+        reference.integrator, reference.sampler = integrator, {"type": "stratified", "jitter": False}
+        height, width = self.views.height, self.views.width
+        large = self.views.take(np.array([k])).resized(width * times, height * times)
+        return reference.render(large)[0].reshape(height, times, width, times, -1)
+
+    def best(self) -> np.ndarray:
+        """
+        What one sample a pixel can show at best: the truth but for pixels in which an outline lies, of the asset or of
+        a part before another; those show what lies in their middle.
+        """
         out, views = self.once(), self.views
-        height, width = views.height, views.width
-        step = 2 * 3.5 * np.tan(np.radians(views.fov / 2)) / (width * fine)
         for k in range(len(views)):
-            large = views.take(np.array([k])).resized(width * fine, height * fine)
-            depth = reference.render(large)[0, ..., 0].reshape(height, fine, width, fine)
+            depth = self.fine(k, {"type": "depth"})[..., 0]
+            step = 2 * 3.5 * np.tan(np.radians(views.fov / 2))[k] / (views.width * depth.shape[1])
             jumps = [np.abs(np.diff(depth, axis=axis)).max(axis=(1, 3)) for axis in (1, 3)]
-            whole = np.maximum(*jumps) < 6 * step[k]
+            whole = np.maximum(*jumps) < 6 * step
             out[k][whole] = self.truth[k][whole]
+        return out
+
+    def lobe(self, roughness: float, share: float = 0.25) -> np.ndarray:
+        """
+        The same, but that pixels without an outline show one lobe of gold, as those of a texture do: about the mean of
+        the pixel's normals, and wider by a share of their spread; a quarter is best.
+        """
+        import mitsuba as mi
+
+        from mi_simplify.bsdfs import microfacet
+
+        out, at = self.best(), self.views.arrays()
+        for k in range(len(out)):
+            inside = (out[k] == self.truth[k]).all(axis=2) & (out[k, ..., 3] == 1)
+            found = self.fine(k, {"type": "aov", "aovs": "p:position,cover:depth"})[..., :3].mean(axis=(1, 3))[inside]
+            n = self.fine(k, {"type": "aov", "aovs": "n:sh_normal,cover:depth"})[..., :3].mean(axis=(1, 3))[inside]
+            r = np.linalg.norm(n, axis=1, keepdims=True)
+            wi, to_light = at["origin"][k] - found, at["light_position"][k] - found
+            far, d = (np.linalg.norm(x, axis=1, keepdims=True) for x in (wi, to_light))
+            n, wi, wo = (mi.Vector3f(x.T) for x in (n / r, wi / far, to_light / d))
+            wider = mi.Float((np.clip(roughness**4 + share * 2 * (1 - r) / r, 0, 1) ** 0.25).ravel())
+            gold = mi.Color3f(GOLD), mi.Float(0), wider, mi.Float(1)
+            value = microfacet.evaluate(*gold, microfacet.face_viewer(n, wi), wi, wo).numpy().T
+            out[k, inside, :3] = value * at["light_intensity"][k] / d**2
         return out
 
     def strict(self, model, mips: str | None = None) -> np.ndarray:
@@ -135,6 +164,7 @@ def prefilter(args) -> None:
         "the asset itself": (judge.once(), path.once()),
         "the asset, anywhere in the pixel": (judge.once(True), path.once(True)),
         "the best that shows outlines": (judge.best(), path.best()),
+        **({} if args.metal is None else {"the best of one lobe": tuple(j.lobe(args.metal) for j in (judge, path))}),
         "fitted plainly, without mip levels": tuple(j.strict(unfiltered, "none") for j in (judge, path)),
         f"fitted for {large}²": (judge.strict(other), path.strict(other)),
         f"start for {size}²": (judge.strict(guess), path.strict(guess)),
