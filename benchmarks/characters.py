@@ -51,7 +51,7 @@ def main() -> None:
 
 def run(asset: str, triangles: int, case: str, settings: list[str], folder: Path) -> None:
     """One fit, its files, and its verdict on the frames that were held out."""
-    from mi_simplify.export import export_model
+    from mi_simplify.export import as_exported, export_model
     from mi_simplify.fitting import fit
     from mi_simplify.report.evaluate import Judging
     from mi_simplify.report.self_check import self_check
@@ -73,7 +73,7 @@ def run(asset: str, triangles: int, case: str, settings: list[str], folder: Path
     candidates = {case: written["glb"]}
     if case == next(iter(CASES)):
         baseline = subject.frame.restored(subject.baseline(guess.n_triangles))
-        candidates = {BASELINE: baseline.as_asset(), GUESS: subject.frame.restored(guess).as_asset(), **candidates}
+        candidates = {BASELINE: as_exported(baseline), GUESS: as_exported(subject.frame.restored(guess)), **candidates}
         candidates["unpruned"] = subject.frame.restored(fitted).as_asset()
     judged = config.evaluation
     comparison = subject.judge(candidates, Judging(judged.views, judged.resolution, judged.spp))

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from test_displacement import model
+from toy import TOY, bumpy_sphere
 
+from mi_simplify import cli
 from mi_simplify.export.own_normals import with_own_normals
 from mi_simplify.latent.tessellation import tessellated
 from mi_simplify.report.screen import Screen
@@ -59,3 +61,19 @@ def test_levels_of_its_own_are_turned_too(side):
     assert turned["normal"].shape == (side, side, 3) and turned["base_color"] is given.base_color
     if side == 256:
         assert np.array_equal(turned["normal"], with_own_normals(given).normal)
+
+
+def test_a_level_beyond_all_charts_stays():
+    given = shared()
+    level = {"base_color": given.base_color, "specular": given.specular, "normal": given.normal[:1, :1]}
+    assert np.array_equal(with_own_normals(replace(given, mips=(level,))).mips[0]["normal"], level["normal"])
+
+
+def test_a_rough_asset_from_the_command_line(tmp_path, capsys):
+    """Files whose normals lie far from those that were fitted are right, down to the mip levels."""
+    rough = bumpy_sphere(tmp_path, height=0.15)
+    command = ["simplify", str(rough), "-n", "40", "-o", str(tmp_path / "out"), "--quiet", *TOY]
+    command += ["--set", "initial.subdivisions=2", "--set", "initial.tessellations=[1,2]", "--set", "optimizer.steps=2"]
+    assert cli.main([*command, "--set", "latent.mips=custom"]) == 0, capsys.readouterr().err
+    finest, turned = ((tmp_path / "out" / name).read_bytes() for name in ("mips/normal_0.png", "model_normal.png"))
+    assert finest == turned != (tmp_path / "out" / "displacement" / "base_normal.png").read_bytes()

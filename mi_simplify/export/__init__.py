@@ -9,7 +9,6 @@ from pathlib import Path
 
 from ..errors import OutputError
 from ..latent.model import Model
-from ..latent.tessellation import tessellated
 from ..scenes.asset import Asset
 from ..scenes.load import load_asset
 from .files import make_folder
@@ -57,13 +56,13 @@ def export_model(
         raise OutputError(f"unknown export format {unknown[0]!r}: choose from {', '.join(FORMATS)}")
     folder = make_folder(folder)
     paths = {name: folder / FORMATS[name] for name in formats}
-    if model.mips:
-        write_mips(model, make_folder(folder / "mips"))
     if model.displacement is not None:
         from .displacement import write_displacement
 
         write_displacement(model, make_folder(folder / "displacement"), extras=extras)
-        model = with_own_normals(tessellated(model))
+    model = with_own_normals(model)
+    if model.mips:
+        write_mips(model, make_folder(folder / "mips"))
     for name, path in paths.items():
         if name == "glb":
             write_glb(model, path, extras=extras)

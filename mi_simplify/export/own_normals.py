@@ -11,21 +11,25 @@ import numpy as np
 from ..initial.atlas import dilate
 from ..initial.lookup import LOWEST, LowPoly
 from ..latent.model import Mesh, Model
+from ..latent.tessellation import tessellated
 
 
 def with_own_normals(model: Model) -> Model:
     """
-    The same model, shaded with the normals of its faces; one that has them already comes back unchanged.
+    The model that files hold: the fine mesh that a displaced one stands for, shaded with the normals of its faces. One
+    that is both already comes back unchanged.
 
     Renderers that trace paths take a vertex normal for the surface: light from behind it counts for nothing, whatever
     the normal map says. Normals that several tessellations share, see :attr:`..latent.model.Displacement.framed`, lie
-    too far from those of the finer ones for that.
+    too far from those of the finer ones for that. What it costs is that a map of large turns from texel to texel is
+    interpolated less well.
 
     Parameters
     ----------
     model : Model
-        Without a displacement; UVs without overlap.
+        UVs without overlap. Its mip levels are turned as well.
     """
+    model = tessellated(model)
     mesh = model.mesh
     if mesh.own_normals is None:
         return model
@@ -35,10 +39,15 @@ def with_own_normals(model: Model) -> Model:
 
 
 def _moved(normal: np.ndarray, old: Mesh, new: Mesh) -> np.ndarray:
-    """A normal map (H, H, 3) of one mesh as that of another with the same vertices; texels between charts as nearby."""
+    """
+    A normal map (H, H, 3) of one mesh as that of another with the same vertices; texels between charts as nearby. A
+    level that is too coarse to meet any chart stays, its normals being means over the whole model.
+    """
     size = normal.shape[0]
     a, b = (_frames(mesh, size) for mesh in (old, new))
     covered = np.isfinite(a).all((2, 3)) & np.isfinite(b).all((2, 3))
+    if not covered.any():
+        return normal
     a, b = (x.reshape(size, size, 3, 3) for x in dilate([x.reshape(size, size, 9) for x in (a, b)], covered))
     world = np.einsum("yxkj,yxk->yxj", a, normal)
     out = np.einsum("yxkj,yxj->yxk", b, world)

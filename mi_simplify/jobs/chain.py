@@ -21,6 +21,7 @@ from ..config.schema import Reference as ReferenceSettings
 from ..errors import ConfigError
 from ..export.files import make_folder, write_atomic
 from ..latent.model import Model
+from ..latent.tessellation import tessellated
 from ..machine.runtime import ensure_variant
 from ..progress import Progress, ProgressCallback, silent
 from ..record.output import RunFolder
@@ -212,7 +213,7 @@ def _level(
     """What is known of a level before :func:`_judged` looks at all of them."""
     file = folder / "model.glb"
     return Level(
-        file=f"{folder.name}/{file.name}", triangles=model.n_triangles, texels=model.base_color.shape[0],
+        file=f"{folder.name}/{file.name}", triangles=tessellated(model).n_triangles, texels=model.base_color.shape[0],
         bytes=file.stat().st_size, screen_size=None if takes_over is None else round(takes_over, 1), screen_share=1.0,
         target_resolution=settings.optimizer.target_resolution,
         flip_above={str(size): round(x, 5) for size, x in flip_above.items()},

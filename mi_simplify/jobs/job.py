@@ -14,6 +14,7 @@ from ..config import Config, dump, load_config
 from ..errors import Defect
 from ..export import as_exported, export_model
 from ..export.files import write_atomic
+from ..export.own_normals import with_own_normals
 from ..initial import first_guess
 from ..latent.model import Model
 from ..machine.runtime import ensure_variant
@@ -143,7 +144,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         written = record.export(model)  # before it is judged, whatever happens there
         clock.lap("export")
         result = replace(load_asset(written), ambient=model.ambient)  # formats but GLB do not carry it
-        shown = self_check(fitted.model, frame.normalised(result), form=config.latent.shading)
+        shown = self_check(with_own_normals(fitted.model), frame.normalised(result), form=config.latent.shading)
         candidates = {"first guess": as_exported(guess), "result": result}
         if config.evaluation.baseline:
             baseline = subject.baseline(guess.n_triangles)

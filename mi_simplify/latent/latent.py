@@ -80,6 +80,7 @@ class Latent:
         """
         mesh = self.topology.mesh
         normals = surface.packets.numpy().reshape(-1, 12)[:, 4:7].astype(np.float64)
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)  # means are shorter
         model = self._with(replace(mesh, normal_index=np.arange(len(mesh.uvs)), own_normals=normals), positions)
         return Model(model.mesh, model.base_color, model.specular, model.normal, model.alpha_mode, model.alpha_cutoff)
 

@@ -206,7 +206,7 @@ class Model:
 
     def as_asset(self) -> Asset:
         """
-        The model as an asset of one part, displaced, with the normals that the export writes, and its rig.
+        The model as an asset of one part, displaced, with the normals that it is fitted with, and its rig.
         """
         if self.displacement is not None:
             from .tessellation import tessellated

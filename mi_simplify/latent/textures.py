@@ -37,6 +37,13 @@ class Texels:
 TILE = 8
 
 
+def needs_extended(base_color: np.ndarray, specular: np.ndarray) -> bool:
+    """
+    Whether images have any opacity or γ, which only extended textures keep.
+    """
+    return bool((base_color[..., 3] < 1).any() or specular[..., 0].any())
+
+
 @dataclass(init=False, eq=False)
 class Textures:
     """

@@ -11,6 +11,7 @@ import numpy as np
 from ..integrators.deferred import DeferredRenderer
 from ..latent.latent import Latent
 from ..latent.model import Model
+from ..latent.textures import needs_extended
 from ..scenes.views import Views
 
 
@@ -36,8 +37,7 @@ class Screen:
         if mips is None:
             halves = all(side & (side - 1) == 0 for side in sides)
             mips = "none" if not halves else "custom" if model.mips else "derived"
-        extended = bool((model.base_color[..., 3] < 1).any() or model.specular[..., 0].any())
-        self.latent = Latent(model, extended, mips)
+        self.latent = Latent(model, needs_extended(model.base_color, model.specular), mips)
         self.renderer = DeferredRenderer(self.latent.topology, form=form, shade=shade)
         self.ambient = None if model.ambient is None else mi.Float(model.ambient.ravel())
 

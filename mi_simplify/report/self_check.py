@@ -16,7 +16,7 @@ from ..latent.latent import Latent
 from ..latent.model import Mesh, Model
 from ..latent.surface import MeshTopology, Surface
 from ..latent.tangents import vertex_tangents
-from ..latent.textures import Textures
+from ..latent.textures import Textures, needs_extended
 from ..machine.upload import upload
 from ..scenes.asset import Asset, Part
 from ..scenes.gltf_file import GltfFile
@@ -72,7 +72,7 @@ def latent_images(model: Model, views: Views, form: str = "gltf") -> np.ndarray:
     """
     A model as the fit shows it, lit directly, from views of one frame, shape (B, H, W, 4).
     """
-    latent = Latent(model, _extended(model.base_color, model.specular))
+    latent = Latent(model, needs_extended(model.base_color, model.specular))
     operation = latent.operation
     base = upload(mi.Float, operation.base.positions.ravel())
     parameters = {name: upload(mi.Float, value) for name, value in operation.parameters.items()}
@@ -117,14 +117,9 @@ def as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, S
     color, specular, normal = (np.broadcast_to(image, (*size, image.shape[2])) for image in images)
     if material.alpha_mode == "OPAQUE":
         color = np.concatenate([color[..., :3], np.ones_like(color[..., 3:])], axis=2)
-    textures = Textures(color, specular, normal, _extended(color, specular))
+    textures = Textures(color, specular, normal, needs_extended(color, specular))
     surface = Surface(upload(mi.Float, packets.ravel()), topology.faces)
     return topology, surface, textures, upload(mi.Float, mesh.positions.ravel())
-
-
-def _extended(base_color: np.ndarray, specular: np.ndarray) -> bool:
-    """Whether there is any opacity or γ."""
-    return bool((base_color[..., 3] < 1).any() or specular[..., 0].any())
 
 
 def _render(
