@@ -73,6 +73,7 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
         The UVs of ``mesh`` cover no texel.
     """
     ensure_variant()
+    from .decals import seen
     from .lookup import NO_FACE, Detail, LowPoly  # their classes need a variant
 
     soup, _ = clean(merge(asset))
@@ -95,7 +96,7 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
             dr.scatter(hits.b, upload(mi.Point2f, found.barycentric[:, 1:]), lost)
         hits.face = dr.select(hits.face == NO_FACE, 0, hits.face)
         dr.eval(hits)
-        values = [*detail.shade(points, hits), dr.select(points.active, mi.Float(1), 0)]
+        values = [*seen(detail, points, hits), dr.select(points.active, mi.Float(1), 0)]
         total = [a + b for a, b in zip(total, values, strict=True)]
         dr.eval(total)
     sums = np.stack([x.numpy() for x in total], 1).reshape(size, size, 15)

@@ -183,7 +183,7 @@ class Detail:
         self.packets = _flat(np.column_stack(columns))
         self.faces = upload(mi.UInt32, mesh.faces.ravel())
         self.scene = _scene(rows[:, :3], mesh.faces)
-        self.step = mi.Float(1e-6 * soup.diagonal)
+        self.diagonal, self.step = mi.Float(soup.diagonal), mi.Float(1e-6 * soup.diagonal)
 
         self.material = upload(mi.UInt32, soup.material_index)
         self.base_color = Images([m.base_color for m in soup.materials])
@@ -191,6 +191,7 @@ class Detail:
         flat = np.array([[[0, 0, 1]]], np.float32)
         self.normal = Images([flat if m.normal is None else m.normal for m in soup.materials])
         self.opaque = mi.Bool([m.alpha_mode == "OPAQUE" for m in soup.materials])
+        self.blended = mi.Bool([m.alpha_mode == "BLEND" for m in soup.materials])
         self.cutoff = mi.Float([m.alpha_cutoff if m.alpha_mode == "MASK" else -1.0 for m in soup.materials])
 
     def search(self, s: Points) -> Hits:
@@ -198,6 +199,19 @@ class Detail:
         From outside inwards along the smooth normal: of the surfaces that face alike the one closest to the point.
         """
         return _march(self.scene, self.faces, self.packets, self.step, s)
+
+    def position(self, hits: Hits) -> mi.Point3f:
+        """Where hits are; every face must exist."""
+        corners = dr.gather(mi.Vector3u, self.faces, hits.face)
+        return mi.Point3f(_blend(self.packets, 4, corners, hits.b, True)[0].xyz)
+
+    def blends(self, hits: Hits) -> mi.Bool:
+        """Whether the material of hits blends; every face must exist."""
+        return dr.gather(mi.Bool, self.blended, dr.gather(mi.UInt32, self.material, hits.face))
+
+    def face_normal(self, face: mi.UInt32, active) -> mi.Vector3f:
+        """Unnormalised geometric normal of faces."""
+        return _face_normal(self.packets, dr.gather(mi.Vector3u, self.faces, face, active), active)
 
     def shade(self, s: Points, hits: Hits) -> list[mi.Float]:
         """

@@ -1,0 +1,84 @@
+"""
+What is blended over a surface: decals, lenses and lacquer belong to what they lie on.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from .lookup import NO_FACE, Detail, Hits, Points
+
+#: How far from a surface a layer still lies on it [diagonals of the asset]; modellers lift decals by half of it.
+NEAR = 2e-3
+
+#: Blended layers above a surface that count, and layers below a blended one.
+LAYERS = 3
+
+
+def seen(detail: Detail, s: Points, hits: Hits) -> list[mi.Float]:
+    """
+    As :meth:`.lookup.Detail.shade`, but where materials blend (glTF's BLEND) of all the layers that lie together.
+
+    From above: blended layers on the hit, the hit itself, and, if it blends, what is below; all that face alike. A
+    low-poly surface has one layer there: with the decal alone it would be a hole around the letters, without it blank.
+    Colours are composed front to back, roughness, metalness and normals are means by what each layer shows.
+    """
+    own = detail.shade(s, hits)
+    if not dr.any(detail.blended):
+        return own
+    sums, left = [mi.Float(0)] * 14, mi.Float(1)
+    near = detail.diagonal * NEAR
+    p, gap = detail.position(hits), 10 * detail.step
+    t = mi.Float(0)
+    for _ in range(LAYERS):
+        layer, t = _next(detail, s, p + s.ray * near, t, near - gap, True)
+        sums, left = _behind(sums, left, _shown(detail, s, layer))
+    sums, left = _behind(sums, left, own)
+    below, t = detail.blends(hits), mi.Float(gap)
+    for _ in range(LAYERS):
+        layer, t = _next(detail, s, p, t, dr.select(below, near, 0), False)
+        sums, left = _behind(sums, left, _shown(detail, s, layer))
+    opacity = sums[6]
+    means = [
+        dr.select(opacity > 1e-3, x / dr.maximum(opacity, 1e-3), y) for x, y in zip(sums[7:13], own[7:13], strict=True)
+    ]
+    return [*sums[:3], *own[3:6], opacity, *means, own[13]]
+
+
+def _shown(detail: Detail, s: Points, hits: Hits) -> list[mi.Float]:
+    """What a layer shows, nothing where there is none."""
+    found = hits.face != NO_FACE
+    hits.face = dr.select(found, hits.face, 0)
+    return [dr.select(found, x, 0) for x in detail.shade(s, hits)]
+
+
+def _behind(sums: list[mi.Float], left: mi.Float, layer: list[mi.Float]) -> tuple[list[mi.Float], mi.Float]:
+    """A layer behind those that are summed, through which a share ``left`` can be seen."""
+    share = left * layer[6]
+    weights = [left] * 3 + [mi.Float(0)] * 3 + [left] + [share] * 6 + [mi.Float(0)]
+    sums = [x + w * y for x, w, y in zip(sums, weights, layer, strict=True)]
+    left = left - share
+    dr.eval(sums, left)
+    return sums, left
+
+
+@dr.syntax
+def _next(detail: Detail, s: Points, start: mi.Point3f, t: mi.Float, end: mi.Float, blended_only: bool):
+    """The next layer from ``start`` inwards between ``t`` and ``end``, and how far it is."""
+    face, b = mi.UInt32(NO_FACE), mi.Point2f(0)
+    t, n = mi.Float(t), mi.Vector3f(s.ray)
+    active = s.active & (t < end)
+    while active:
+        ray = mi.Ray3f(start - n * t, -n)
+        ray.maxt = end - t
+        pi = detail.scene.ray_intersect_preliminary(ray, False, active)
+        active &= pi.is_valid()
+        t = dr.select(active, t + pi.t + detail.step, end)
+        alike = active & (dr.dot(detail.face_normal(pi.prim_index, active), n) > 0)
+        if dr.hint(blended_only, mode="scalar"):
+            alike &= detail.blends(Hits(dr.select(active, pi.prim_index, 0), pi.prim_uv))
+        face = dr.select(alike, pi.prim_index, face)
+        b = dr.select(alike, pi.prim_uv, b)
+        active &= ~alike & (t < end)
+    return Hits(face, b), t
