@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import dataclass
 
 import drjit as dr
@@ -80,3 +81,43 @@ def test_numbers_that_equal_others_count():
     for spp in (64, 32, 48, 2):
         got = exposed(Film(upload(mi.Float, np.ones(5, np.float32)), 64, 32, spp))
         assert got.numpy() == pytest.approx(spp)
+
+
+class Rubbish:
+    """Tells when it is collected, which takes a collection: it refers to itself."""
+
+    def __init__(self, told):
+        self.itself, self.told = self, told
+
+    def __del__(self):
+        self.told.append(True)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_nothing_is_collected_during_a_call(fails):
+    """What a collection frees there may be a scene, of which the recording knows nothing."""
+    told, seen = [], []
+
+    @frozen()
+    def littered(x):
+        kept = [[[]] for _ in range(1000)]
+        seen.extend([*told, gc.isenabled()])
+        if fails:
+            raise ValueError(len(kept))
+        return x + 1
+
+    threshold = gc.get_threshold()
+    gc.collect()
+    gc.set_threshold(20, 1, 1)
+    try:
+        Rubbish(told)
+        if fails:
+            with pytest.raises(RuntimeError):  # what Dr.Jit makes of any
+                littered(mi.Float(1))
+        else:
+            assert littered(mi.Float(1)).numpy() == 2
+        assert seen == [False] and gc.isenabled()
+        kept = [[[]] for _ in range(1000)]
+        assert told == [True] and len(kept) == 1000
+    finally:
+        gc.set_threshold(*threshold)

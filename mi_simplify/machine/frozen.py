@@ -5,9 +5,35 @@ Functions that are traced once: ``dr.freeze`` where it is safe.
 from __future__ import annotations
 
 import dataclasses
+import gc
 import inspect
+from typing import Any
 
 import drjit as dr
+
+
+@dataclasses.dataclass(frozen=True)
+class Frozen:
+    """
+    A recorded function, during whose calls Python collects no garbage: that of others, such as whole scenes, would be
+    freed in the middle of a recording, which knows nothing of it; the process has been seen to abort there.
+    """
+
+    recorded: Any
+
+    def __call__(self, *args):
+        was_enabled = gc.isenabled()
+        gc.disable()
+        try:
+            return self.recorded(*args)
+        finally:
+            if was_enabled:
+                gc.enable()
+
+    @property
+    def n_recordings(self) -> int:
+        """How many times it was recorded."""
+        return self.recorded.n_recordings
 
 
 def frozen(*varying: str):
@@ -41,7 +67,7 @@ def frozen(*varying: str):
             # were taken for 64 where the film was 64 wide and a texture 32.
             return repr([dr.thread_count(), *(_state(value, name not in varying) for name, value in named)])
 
-        return dr.freeze(function, state_fn=state, warn_after=1000)
+        return Frozen(dr.freeze(function, state_fn=state, warn_after=1000))
 
     return decorate
 
