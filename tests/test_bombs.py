@@ -213,6 +213,13 @@ def test_a_size_that_another_reader_sees_elsewhere(tmp_path):
         decode_image(data, "a.hdr", "model.obj")
 
 
+@pytest.mark.parametrize("size", [b"-Y 2 +Y 2", b"+X 2 -Y 2", b"-Y 2 -X 2"])
+def test_a_size_that_another_reader_never_finds(size):
+    """Mitsuba reads on behind the end of the file, into all of memory: found by the fuzzer."""
+    with pytest.raises(AssetError, match="its header has no size"):
+        decode_image(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n" + size + b"\n" + bytes(16), "a.hdr", "model.obj")
+
+
 def test_special_files_are_no_models(tmp_path):
     os.mkfifo(tmp_path / "a.obj")
     refused(tmp_path / "a.obj", "is no file")

@@ -113,7 +113,8 @@ def _header_size(data: bytes) -> tuple[int, int]:
         return x1 - x0 + 1, y1 - y0 + 1
     if data[:2] == b"#?":
         _, _, body = data.partition(b"\n\n")
-        found = re.match(rb"[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", body)
+        # Mitsuba would look for such a line for ever.
+        found = re.match(rb"-Y (\d{1,9}) \+X (\d{1,9})\n", body)
         return (int(found[2]), int(found[1])) if found else (0, 0)
     return struct.unpack_from(">2I", data, 16)
 
