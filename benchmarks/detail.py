@@ -55,14 +55,15 @@ class Judge:
     """Views of one size, the asset in them without aliasing, and figures of anything beside it."""
 
     def __init__(self, subject, views, spp: int = 256):
-        from mi_simplify.scenes.mitsuba_reference import make_reference
+        from mi_simplify.scenes.path_traced import make_reference
 
         self.views, self.asset = views, subject.frame.normalised(subject.geometry)
         self.truth = make_reference(self.asset, spp=spp).render(views, 5)
 
     def once(self, anywhere: bool = False) -> np.ndarray:
         """The asset with one sample in the middle of each pixel, or anywhere in it."""
-        from mi_simplify.scenes.mitsuba_reference import MitsubaReference, make_reference
+        from mi_simplify.scenes.mitsuba_reference import MitsubaReference
+        from mi_simplify.scenes.path_traced import make_reference
 
         reference = make_reference(self.asset, spp=1)
         assert isinstance(reference, MitsubaReference)
@@ -71,7 +72,8 @@ class Judge:
 
     def fine(self, k: int, integrator: dict, times: int = 8) -> np.ndarray:
         """What an integrator finds at ``times`` by ``times`` places of every pixel of view k, shape (H, t, W, t, C)."""
-        from mi_simplify.scenes.mitsuba_reference import MitsubaReference, make_reference
+        from mi_simplify.scenes.mitsuba_reference import MitsubaReference
+        from mi_simplify.scenes.path_traced import make_reference
 
         reference = make_reference(self.asset, spp=1)
         assert isinstance(reference, MitsubaReference)
@@ -228,7 +230,7 @@ def tessellations(args) -> None:
     One displaced model for three tessellations at once, beside models that are fitted for one alone, in as many steps
     for each.
     """
-    from mi_simplify.latent.tessellation import tessellated
+    from mi_simplify.latent.model import tessellated
     from mi_simplify.report.evaluate import Judging, compare_assets
 
     common = [f"asset={args.asset}", "initial.triangles=1000", "initial.atlas_size=1024", *args.set]

@@ -60,7 +60,7 @@ def candidate(kind: str, plant: str, triangles: int, folder: Path, settings: lis
 
 def pictures(asset, bounds: np.ndarray, environment: str | None, n_views: int, spp: int) -> np.ndarray:
     """Path traced images, shape (B, 512, 512, 4): an environment alone, or the judge's point lights and sky."""
-    from mi_simplify.scenes.mitsuba_reference import make_reference
+    from mi_simplify.scenes.path_traced import make_reference
     from mi_simplify.scenes.views import Views, held_out_views
 
     views = held_out_views(bounds, n_views, SIDES[0], 5)

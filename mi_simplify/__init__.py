@@ -37,7 +37,7 @@ _EXPORTS = {
     "fit": "fitting",
     "load_asset": "scenes.load",
     "load_config": "config",
-    "make_reference": "scenes.mitsuba_reference",
+    "make_reference": "scenes.path_traced",
     "open_asset": "subjects",
     "report_folder": "report",
     "run_job": "jobs.job",

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mi_simplify.latent.model import Mesh, Model
+from mi_simplify.latent.mesh import Mesh
+from mi_simplify.latent.model import Model
 from mi_simplify.latent.topology import vertex_normals
 
 

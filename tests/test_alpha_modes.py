@@ -7,7 +7,7 @@ from mi_simplify.export import export_model
 from mi_simplify.initial import first_guess
 from mi_simplify.scenes.asset import Asset, Instance
 from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.views import held_out_views
 
 

@@ -17,7 +17,7 @@ from mi_simplify.latent.latent import Latent
 from mi_simplify.latent.model import Model
 from mi_simplify.machine.upload import upload
 from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.views import goniometer
 
 AMBIENT = np.float32([[0.3, 0.1, 0.5]])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mi_simplify.initial import atlas
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 
 
 def layout(*triangles) -> Mesh:

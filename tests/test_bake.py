@@ -8,7 +8,7 @@ from mi_simplify.initial.bake import bake, reaches
 from mi_simplify.initial.closest import ClosestPoints
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.initial.unwrap import unwrap
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 
 QUAD = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)

@@ -19,7 +19,8 @@ from mi_simplify.report.metrics import psnr
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 from mi_simplify.scenes.captured import read_captured
 from mi_simplify.scenes.image_reference import ImageReference, squared
-from mi_simplify.scenes.mitsuba_reference import MitsubaReference, make_reference
+from mi_simplify.scenes.mitsuba_reference import MitsubaReference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.views import Views, goniometer
 from mi_simplify.subjects import open_subject
 

@@ -7,13 +7,14 @@ import pytest
 
 from mi_simplify import cli
 from mi_simplify.errors import MeshError
-from mi_simplify.initial.cards import cards, is_aggregate, lay_out
+from mi_simplify.initial.card_layout import lay_out
+from mi_simplify.initial.cards import cards, is_aggregate
 from mi_simplify.initial.clusters import cluster_faces, pieces
 from mi_simplify.initial.crossing import crossing_cards
 from mi_simplify.initial.guess import first_guess
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.samples import sample_asset
 from mi_simplify.scenes.views import held_out_views
 

@@ -21,7 +21,7 @@ from mi_simplify.record.checkpoint import Checkpoint
 from mi_simplify.report.pruning import pruning_cost
 from mi_simplify.report.self_check import self_check
 from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.rig import deform
 from mi_simplify.scenes.views import held_out_views
 from mi_simplify.subjects import open_subject

@@ -27,7 +27,7 @@ from mi_simplify.fitting.vertices import VertexSteps
 from mi_simplify.jobs.job import run_job
 from mi_simplify.progress import Progress
 from mi_simplify.record.checkpoint import Checkpoint, fingerprint, read_archive, write_archive
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.subjects import subject
 
 resource = pytest.importorskip("resource", reason="POSIX")

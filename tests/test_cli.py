@@ -15,7 +15,8 @@ from toy import bumpy_sphere, files
 from mi_simplify import cli
 from mi_simplify.export import write_glb, write_obj
 from mi_simplify.jobs import job
-from mi_simplify.latent.model import Mesh, Model
+from mi_simplify.latent.mesh import Mesh
+from mi_simplify.latent.model import Model
 from mi_simplify.record.output import RunFolder
 
 

@@ -17,8 +17,8 @@ from mi_simplify.fitting.tessellations import tessellating
 from mi_simplify.integrators.deferred import DeferredRenderer
 from mi_simplify.latent.displacement import Displaced
 from mi_simplify.latent.latent import Latent
-from mi_simplify.latent.model import Displacement, Model
-from mi_simplify.latent.tessellation import Tessellation, tessellated
+from mi_simplify.latent.model import Displacement, Model, tessellated
+from mi_simplify.latent.tessellation import Tessellation
 from mi_simplify.machine.upload import upload
 from mi_simplify.report.screen import Screen
 from mi_simplify.scenes.load import load_asset

@@ -14,7 +14,7 @@ from mi_simplify import cli
 from mi_simplify.export.captured import write_captured
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.views import goniometer
 
 ROOT = Path(__file__).parents[1]

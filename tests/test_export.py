@@ -18,7 +18,8 @@ from mi_simplify.export import export_model, write_glb, write_obj
 from mi_simplify.export.gltf import glb_bytes
 from mi_simplify.export.textures import encode_textures, linear_to_srgb, srgb_to_linear, to_8bit
 from mi_simplify.export.usd import write_usd
-from mi_simplify.latent.model import Mesh, Model
+from mi_simplify.latent.mesh import Mesh
+from mi_simplify.latent.model import Model
 from mi_simplify.latent.tangents import split_mirrored, vertex_tangents
 
 DATA = Path(__file__).parent / "data" / "mikktspace.json"

@@ -13,7 +13,7 @@ from mi_simplify.errors import AssetError, ConfigError, UserError
 from mi_simplify.export import export_model
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.views import goniometer, look_at
 from mi_simplify.subjects import open_subject
 from mi_simplify.subjects.command import CommandReference

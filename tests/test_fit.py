@@ -13,7 +13,7 @@ from mi_simplify.integrators.deferred import DeferredRenderer
 from mi_simplify.latent.latent import Latent
 from mi_simplify.latent.model import Model
 from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.views import goniometer
 
 

@@ -14,7 +14,7 @@ from mi_simplify.fitting.fit import REFRESH_EVERY
 from mi_simplify.fitting.schedules import resolution_at
 from mi_simplify.jobs import forecast
 from mi_simplify.jobs.job import run_job
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.progress import in_words
 from mi_simplify.record import stopwatch
 

@@ -29,7 +29,8 @@ from mi_simplify.integrators.gbuffer import fragment, trace
 from mi_simplify.integrators.shading import mapped_normal
 from mi_simplify.latent.model import Model
 from mi_simplify.latent.surface import MeshTopology
-from mi_simplify.scenes.shapes import MovingMesh, asset_shapes, make_mesh
+from mi_simplify.machine.meshes import MovingMesh, make_mesh
+from mi_simplify.scenes.shapes import asset_shapes
 
 # --- the side that is seen -------------------------------------------------------------------------------------------
 

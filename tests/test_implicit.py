@@ -16,7 +16,7 @@ from mi_simplify.scenes import sdf
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 from mi_simplify.scenes.creature import creature
 from mi_simplify.scenes.implicit import Implicit, Surfel, implicit_named
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.reference import FramedReference
 from mi_simplify.scenes.sphere_tracing import SphereTraced
 from mi_simplify.scenes.views import goniometer, held_out_views, look_at

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mi_simplify.initial.soup import merge
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 
 QUAD = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.latent.tangents import split_mirrored, vertex_tangents
 from mi_simplify.latent.topology import vertex_normals
 

@@ -9,7 +9,7 @@ from toy import TOY, bumpy_sphere
 
 from mi_simplify import cli
 from mi_simplify.export.own_normals import with_own_normals
-from mi_simplify.latent.tessellation import tessellated
+from mi_simplify.latent.model import tessellated
 from mi_simplify.report.screen import Screen
 from mi_simplify.scenes.views import look_at
 

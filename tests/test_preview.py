@@ -11,7 +11,7 @@ from mi_simplify.config import load_config
 from mi_simplify.fitting import Run
 from mi_simplify.record import preview
 from mi_simplify.record.preview import SHARE, Preview
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 
 
 class Clock:

@@ -12,13 +12,13 @@ from tiny_models import corner_pixels, png
 from mi_simplify import cli
 from mi_simplify.errors import AssetError, UserError
 from mi_simplify.frame import Frame
+from mi_simplify.machine.meshes import make_mesh
 from mi_simplify.scenes.asset import Asset
 from mi_simplify.scenes.images import srgb_to_linear
 from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.mitsuba_reference import make_reference, scene_reference
+from mi_simplify.scenes.path_traced import make_reference, scene_reference
 from mi_simplify.scenes.read_mitsuba import SceneAsset
 from mi_simplify.scenes.reference import FramedReference
-from mi_simplify.scenes.shapes import make_mesh
 from mi_simplify.scenes.views import held_out_views, look_at
 
 RED = '<bsdf type="diffuse"><rgb name="reflectance" value=".8, .2, .1"/></bsdf>'

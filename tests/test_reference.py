@@ -9,7 +9,7 @@ import trimesh
 from mi_simplify.errors import AssetError, UserError
 from mi_simplify.integrators.camera import Cameras
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
-from mi_simplify.scenes.mitsuba_reference import make_reference, scene_reference
+from mi_simplify.scenes.path_traced import make_reference, scene_reference
 from mi_simplify.scenes.reference import CallableReference
 from mi_simplify.scenes.views import goniometer, look_at
 

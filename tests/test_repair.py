@@ -12,7 +12,8 @@ from mi_simplify.initial.manifold import edge_pairs
 from mi_simplify.initial.repair import repair
 from mi_simplify.initial.soup import merge
 from mi_simplify.initial.sphere import sphere
-from mi_simplify.latent.model import Mesh, Model
+from mi_simplify.latent.mesh import Mesh
+from mi_simplify.latent.model import Model
 from mi_simplify.latent.topology import vertex_normals
 from mi_simplify.scenes.asset import Asset, Instance, Part
 from mi_simplify.scenes.samples import sample_asset

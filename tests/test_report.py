@@ -33,7 +33,7 @@ from mi_simplify.report.pictures import (
 )
 from mi_simplify.report.viewer import viewer_data
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.views import held_out_views
 
 

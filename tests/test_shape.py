@@ -14,7 +14,7 @@ from mi_simplify.fitting.shape import ShapeSteps
 from mi_simplify.latent import latent as latent_module
 from mi_simplify.latent.model import Model
 from mi_simplify.latent.operation import Identity
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 from mi_simplify.scenes.reference import CallableReference
 from mi_simplify.scenes.views import goniometer
 

@@ -6,21 +6,11 @@ import pytest
 from tiny_meshes import charted_sphere
 
 from mi_simplify.latent.model import Model
+from mi_simplify.machine.meshes import MovingMesh, make_mesh, mesh_faces, mesh_normals, mesh_positions, mesh_uvs
 from mi_simplify.scenes import shapes
 from mi_simplify.scenes.asset import Asset, Instance, Material, Part
-from mi_simplify.scenes.mitsuba_reference import make_reference
-from mi_simplify.scenes.shapes import (
-    MovingMesh,
-    asset_shapes,
-    bitmap,
-    make_mesh,
-    material_bsdf,
-    mesh_faces,
-    mesh_normals,
-    mesh_positions,
-    mesh_uvs,
-    part_normals,
-)
+from mi_simplify.scenes.path_traced import make_reference
+from mi_simplify.scenes.shapes import asset_shapes, bitmap, material_bsdf, part_normals
 from mi_simplify.scenes.views import look_at
 
 VERTICES = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)

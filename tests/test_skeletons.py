@@ -8,7 +8,8 @@ from tiny_models import QUAD, Glb
 
 from mi_simplify.errors import AssetError, MeshError
 from mi_simplify.export import export_model
-from mi_simplify.latent.model import Mesh, Model
+from mi_simplify.latent.mesh import Mesh
+from mi_simplify.latent.model import Model
 from mi_simplify.latent.rigging import Rigging
 from mi_simplify.scenes.influences import make_skin
 from mi_simplify.scenes.load import load_asset

@@ -82,7 +82,8 @@ def test_no_kernel_of_transparent_layers_is_compiled_after_the_third_step(mode):
 
 
 def test_no_kernel_of_the_plugin_is_compiled_after_the_third_step():
-    from mi_simplify.scenes.shapes import POSITIONS, asset_shapes
+    from mi_simplify.machine.meshes import POSITIONS
+    from mi_simplify.scenes.shapes import asset_shapes
 
     gc.collect()  # kernels call the BSDFs of all scenes that live: those of other tests must not go in between
     scene = mi.load_dict(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tiny_meshes import charted_sphere
 
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.latent.surface import MeshTopology
 from mi_simplify.latent.tangents import vertex_tangents
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.latent.tangents import face_tangents, split_mirrored, vertex_tangents
 from mi_simplify.latent.topology import vertex_normals
 

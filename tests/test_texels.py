@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mi_simplify.fitting.texels import TexelAdam
-from mi_simplify.latent.texel_gradient import BLOCK, TexelGradient
+from mi_simplify.latent.footprint import BLOCK
+from mi_simplify.latent.texel_gradient import TexelGradient
 from mi_simplify.latent.textures import Textures
 
 RATES = dict(base_color=0.01, roughness=0.02, metallic=0.005, normal=0.03, opacity=0.015, gamma=0.025)

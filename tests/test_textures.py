@@ -5,7 +5,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mi_simplify.latent.texel_gradient import BLOCK, TexelGradient, TouchedBlocks
+from mi_simplify.latent.footprint import BLOCK
+from mi_simplify.latent.texel_gradient import TexelGradient, TouchedBlocks
 from mi_simplify.latent.textures import Textures
 
 

@@ -10,7 +10,7 @@ from mi_simplify.errors import MeshError
 from mi_simplify.initial.atlas import texel_counts
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.initial.unwrap import charts, check, triangle_charts, unwrap
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.latent.tangents import face_tangents
 
 BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)

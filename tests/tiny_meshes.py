@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.latent.topology import weld
 
 #: How a chart lies in its cell of the atlas: maps (a, b) in [0, 1]², a x b outwards, to (u, v).

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from .console import prepare, shown
-from .options import (
+from .options import (  # fmt: skip
     DRY_RUN,
     FRAMES,
     JOB,
@@ -24,7 +24,7 @@ from .options import (
     VARIANT,
     animation,
     default_folder,
-)  # fmt: skip
+)
 
 
 @click.command()

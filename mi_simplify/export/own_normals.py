@@ -10,8 +10,8 @@ import numpy as np
 
 from ..initial.atlas import dilate
 from ..initial.lookup import LOWEST, LowPoly
-from ..latent.model import Mesh, Model
-from ..latent.tessellation import tessellated
+from ..latent.mesh import Mesh
+from ..latent.model import Model, tessellated
 
 
 def with_own_normals(model: Model) -> Model:

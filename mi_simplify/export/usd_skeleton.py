@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
-from ..latent.model import Mesh
+from ..latent.mesh import Mesh
 from ..latent.rigging import Rigging
 from ..scenes.rig import deform
 from .skeleton import Skeleton, influences, skeleton_of

@@ -14,7 +14,7 @@ from ..integrators.deferred import DeferredRenderer
 from ..latent.model import Model
 from ..latent.surface import Surface
 from ..latent.textures import Textures
-from ..scenes.mitsuba_reference import make_reference
+from ..scenes.path_traced import make_reference
 from ..scenes.views import Views
 
 

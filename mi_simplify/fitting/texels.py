@@ -10,7 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..latent.texel_gradient import BLOCK, TexelGradient
+from ..latent.footprint import BLOCK
+from ..latent.texel_gradient import TexelGradient
 from ..latent.textures import Textures
 from ..machine.upload import upload
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from ..latent.model import Mesh
+from ..latent.mesh import Mesh
 
 _CHUNK = 4_000_000
 """Candidate texels looked at in one go; bounds the memory to some hundred megabytes."""

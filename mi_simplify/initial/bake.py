@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import MeshError
-from ..latent.model import Mesh
+from ..latent.mesh import Mesh
 from ..machine.runtime import ensure_variant
 from ..machine.upload import upload
 from ..scenes.asset import Asset

@@ -8,10 +8,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..machine.meshes import make_mesh
 from ..machine.upload import upload
-from ..scenes.shapes import make_mesh
 from .atlas import dilate
-from .cards import Layout
+from .card_layout import Layout
 from .clusters import Clusters
 from .lookup import Detail, Hits, Points
 from .soup import Soup

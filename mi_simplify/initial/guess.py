@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import MeshError
+from ..latent.mesh import Mesh
 from ..latent.mips import filtered_levels, halved
-from ..latent.model import Displacement, Mesh, Model
-from ..latent.tessellation import Tessellation, tessellated
+from ..latent.model import Displacement, Model, tessellated
+from ..latent.tessellation import Tessellation
 from ..machine.runtime import ensure_variant
 from ..scenes.asset import Asset
 from .bake import bake

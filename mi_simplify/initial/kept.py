@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import MeshError
-from ..latent.model import Mesh
+from ..latent.mesh import Mesh
 from ..latent.tangents import split_mirrored
 from ..latent.topology import normal_groups
 from ..scenes.asset import Asset

@@ -10,11 +10,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..latent.model import Mesh
+from ..latent.mesh import Mesh
 from ..latent.tangents import split_mirrored, vertex_tangents
 from ..latent.topology import vertex_normals, weld
+from ..machine.meshes import make_mesh
 from ..machine.upload import upload
-from ..scenes.shapes import make_mesh
 from .soup import Soup
 
 NO_FACE = 0xFFFFFFFF

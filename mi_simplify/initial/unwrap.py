@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import MeshError
-from ..latent.model import Mesh
+from ..latent.mesh import Mesh
 from ..latent.topology import normal_groups, vertex_normals
 from .manifold import edge_pairs
 

@@ -8,8 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..machine.meshes import make_mesh
 from ..machine.upload import upload
-from ..scenes.shapes import make_mesh
 
 #: Rays in all, at most, and for each face.
 _RAYS, _LEAST, _MOST = 2_000_000, 4, 64

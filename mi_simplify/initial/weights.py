@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..latent.model import Mesh
+from ..latent.mesh import Mesh
 from ..latent.topology import vertex_normals
 from ..scenes.asset import Asset
 from ..scenes.rig import Rig, bone_distances

@@ -15,8 +15,8 @@ import mitsuba as mi
 from ..latent.surface import MeshTopology, Surface
 from ..latent.textures import Textures
 from ..machine.frozen import frozen
-from ..scenes.shapes import MovingMesh
-from .edge_samples import EdgeRays
+from ..machine.meshes import MovingMesh
+from .edge_rays import EdgeRays
 from .edge_set import EdgeSet
 from .edges import edge_table
 from .gbuffer import MISS, Hits, kept_hits, trace, with_light

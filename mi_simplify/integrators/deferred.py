@@ -18,7 +18,7 @@ from ..latent.surface import MeshTopology, Surface
 from ..latent.texel_gradient import TexelGradient, TouchedBlocks
 from ..latent.textures import Textures
 from ..machine.frozen import frozen
-from ..scenes.shapes import MovingMesh
+from ..machine.meshes import MovingMesh
 from ..scenes.views import Views
 from .boundary import Boundary, backward_from
 from .camera import Cameras, FilmRays, PixelRays

@@ -17,7 +17,7 @@ from ..machine.frozen import frozen
 from .camera import FilmRays, PixelRays
 
 if TYPE_CHECKING:
-    from .edge_samples import EdgeRays
+    from .edge_rays import EdgeRays
 
 #: Face index of a ray that hit nothing.
 MISS = 0xFFFFFFFF

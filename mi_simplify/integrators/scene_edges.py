@@ -10,11 +10,12 @@ import numpy as np
 
 from ..errors import UserError
 from ..latent.topology import weld
+from ..machine.meshes import POSITIONS, mesh_faces, mesh_positions
 from ..machine.upload import upload
-from ..scenes.shapes import POSITIONS, mesh_faces, mesh_positions
 from ..scenes.views import Views
 from .camera import Cameras
-from .edge_samples import AT_EDGE, EdgeSamples
+from .edge_rays import AT_EDGE
+from .edge_samples import EdgeSamples
 from .edge_set import EdgeSet
 from .edges import edge_table
 

@@ -11,8 +11,9 @@ import mitsuba as mi
 
 from ..bsdfs import microfacet
 from ..latent.ambient import ambient_radiance
+from ..latent.footprint import Footprint
 from ..latent.surface import Surface
-from ..latent.texel_gradient import Footprint, TouchedBlocks
+from ..latent.texel_gradient import TouchedBlocks
 from ..latent.textures import Texels, Textures
 from ..machine.frozen import frozen
 from .gbuffer import Fragment, Hits, fragment

@@ -20,8 +20,7 @@ from ..config import Config
 from ..config.schema import Reference as ReferenceSettings
 from ..errors import ConfigError
 from ..export.files import make_folder, write_atomic
-from ..latent.model import Model
-from ..latent.tessellation import tessellated
+from ..latent.model import Model, tessellated
 from ..machine.runtime import ensure_variant
 from ..progress import Progress, ProgressCallback, silent
 from ..record.output import RunFolder

@@ -20,7 +20,8 @@ from ..export import FORMATS, as_exported
 from ..fitting import Run
 from ..fitting.fit import REFRESH_EVERY
 from ..fitting.schedules import resolution_at
-from ..latent.model import Mesh, Model
+from ..latent.mesh import Mesh
+from ..latent.model import Model
 from ..machine import memory
 from ..machine.runtime import ensure_variant
 from ..progress import Progress, ProgressCallback, in_words, silent

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..machine.upload import upload
 from ..scenes.views import Views
-from .model import Mesh, Model
+from .mesh import Mesh
+from .model import Model
 from .surface import MeshTopology, Surface
 from .tangents import split_mirrored
 from .tessellation import Tessellation, bilinear

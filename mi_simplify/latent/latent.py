@@ -12,7 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..scenes.views import Views
-from .model import Mesh, Model
+from .mesh import Mesh
+from .model import Model
 from .operation import operation_of
 from .surface import MeshTopology, Surface
 from .tangents import split_mirrored

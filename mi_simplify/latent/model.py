@@ -10,62 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..scenes.asset import Asset, Instance, Material, Part
+from .mesh import Mesh
 from .rigging import Rigging
-from .topology import vertex_normals
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """
-    Welded triangle mesh whose UV seams split texture coordinates, never positions.
-
-    Parameters
-    ----------
-    positions : ndarray, shape (P, 3), float64
-        Welded positions; what is optimised.
-    position_index : ndarray, shape (V,), int64
-        Position of each vertex; several vertices share one along a UV seam.
-    uvs : ndarray, shape (V, 2), float32
-        Texture coordinates in [0, 1], origin top left, without overlap.
-    faces : ndarray, shape (F, 3), int64
-        Counter-clockwise *vertex* indices; ``position_index[faces]`` is the welded topology.
-    normal_index : ndarray, shape (V,), int64, optional
-        Vertices with the same number share a normal; a crease runs where those of one position differ. Without it all
-        of one position share one.
-    own_normals : ndarray, shape (G, 3), float64, optional
-        Unit normals, one a normal group, where they are not those of the faces.
-    """
-
-    positions: np.ndarray
-    position_index: np.ndarray
-    uvs: np.ndarray
-    faces: np.ndarray
-    normal_index: np.ndarray | None = None
-    own_normals: np.ndarray | None = None
-
-    @property
-    def normal_groups(self) -> np.ndarray:
-        """Which normal each vertex has, shape (V,): a row of :meth:`normals`."""
-        return self.position_index if self.normal_index is None else self.normal_index
-
-    def normals(self) -> np.ndarray:
-        """
-        Its own normals, or those of the faces weighted by area and angle: one a normal group, shape (G, 3), float64.
-        """
-        if self.own_normals is not None:
-            return self.own_normals
-        groups = None if self.normal_index is None else self.normal_index[self.faces]
-        return vertex_normals(self.positions, self.position_faces, groups, by_area=True)
-
-    @property
-    def vertices(self) -> np.ndarray:
-        """Positions per vertex, shape (V, 3)."""
-        return self.positions[self.position_index]
-
-    @property
-    def position_faces(self) -> np.ndarray:
-        """Faces over welded positions, shape (F, 3)."""
-        return self.position_index[self.faces]
+from .tessellation import Tessellation
 
 
 @dataclass(frozen=True)
@@ -209,8 +156,6 @@ class Model:
         The model as an asset of one part, displaced, with the normals that it is fitted with, and its rig.
         """
         if self.displacement is not None:
-            from .tessellation import tessellated
-
             return tessellated(self).as_asset()
         skin = None if self.skin is None else self.skin.skin().taken(self.mesh.position_index)
         part = Part(
@@ -224,6 +169,27 @@ class Model:
         )
         rig = None if self.skin is None else self.skin.rig
         return Asset((part,), (Instance(0, name=self.name),), name=self.name, ambient=self.ambient, rig=rig)
+
+
+def tessellated(model: Model, subdivisions: int | None = None) -> Model:
+    """
+    A displaced model as the mesh that it stands for.
+
+    Parameters
+    ----------
+    subdivisions : int, optional
+        Those of the model's displacement if not given.
+    """
+    displacement = model.displacement
+    if displacement is None:
+        return model
+    level = displacement.subdivisions if subdivisions is None else subdivisions
+    tessellation = Tessellation.of(model.mesh, level)
+    mesh = replace(tessellation.mesh, positions=tessellation.positions(model.mesh.positions, displacement.height))
+    if level > displacement.framed:
+        coarse = tessellated(model, displacement.framed).mesh
+        mesh = replace(mesh, own_normals=tessellation.interpolated(coarse.normals(), displacement.framed))
+    return replace(model, mesh=mesh, displacement=None)
 
 
 #: Which quantities the channels of the textures are.

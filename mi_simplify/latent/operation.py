@@ -11,7 +11,8 @@ import numpy as np
 
 from ..errors import MeshError
 from ..scenes.views import Views
-from .model import Mesh, Model
+from .mesh import Mesh
+from .model import Model
 from .surface import MeshTopology, Surface
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..machine.frozen import frozen
 from ..machine.upload import upload
-from .model import Mesh
+from .mesh import Mesh
 from .tangents import face_tangents, split_mirrored
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .model import Mesh
+from .mesh import Mesh
 
 
 def face_tangents(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:

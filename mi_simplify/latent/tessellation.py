@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .model import Mesh, Model
+from .mesh import Mesh
 
 
 @dataclass(frozen=True)
@@ -98,27 +98,6 @@ def bilinear(uvs: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.nd
     columns, rows = [x0 % width, (x0 + 1) % width], [y0 % height, (y0 + 1) % height]
     index = np.stack([r * width + c for r in rows for c in columns], axis=1)
     return index, np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy], axis=1)
-
-
-def tessellated(model: Model, subdivisions: int | None = None) -> Model:
-    """
-    A displaced model as the mesh that it stands for.
-
-    Parameters
-    ----------
-    subdivisions : int, optional
-        Those of the model's displacement if not given.
-    """
-    displacement = model.displacement
-    if displacement is None:
-        return model
-    level = displacement.subdivisions if subdivisions is None else subdivisions
-    tessellation = Tessellation.of(model.mesh, level)
-    mesh = replace(tessellation.mesh, positions=tessellation.positions(model.mesh.positions, displacement.height))
-    if level > displacement.framed:
-        coarse = tessellated(model, displacement.framed).mesh
-        mesh = replace(mesh, own_normals=tessellation.interpolated(coarse.normals(), displacement.framed))
-    return replace(model, mesh=mesh, displacement=None)
 
 
 def _split(mesh: Mesh) -> tuple[Mesh, np.ndarray, np.ndarray]:

@@ -20,7 +20,8 @@ from .. import __version__
 from ..config import Config
 from ..errors import OutputError
 from ..export.files import make_folder, write_atomic
-from ..latent.model import Displacement, Mesh, Model, VertexSets
+from ..latent.mesh import Mesh
+from ..latent.model import Displacement, Model, VertexSets
 from ..latent.rigging import Rigging
 from ..scenes.asset import Asset
 from ..scenes.rig import Rig

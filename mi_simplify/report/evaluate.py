@@ -207,7 +207,7 @@ class PathTraced:
     """
 
     def __init__(self, asset: Asset, spp: int):
-        from ..scenes.mitsuba_reference import make_reference
+        from ..scenes.path_traced import make_reference
 
         self._lit = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH)
         self._sky = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY)

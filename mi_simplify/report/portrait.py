@@ -14,7 +14,7 @@ from ..errors import AssetError, OutputError
 from ..export.files import make_folder, write_atomic
 from ..export.textures import png
 from ..scenes.asset import Asset
-from ..scenes.mitsuba_reference import make_reference
+from ..scenes.path_traced import make_reference
 from ..scenes.views import Views, look_at
 from .pictures import shown
 
@@ -80,7 +80,7 @@ def render_picture(
     ----------
     asset : Asset
     transport, spp, max_depth
-        As in :func:`mi_simplify.scenes.mitsuba_reference.make_reference`.
+        As in :func:`mi_simplify.scenes.path_traced.make_reference`.
     view
         As in :func:`portrait_view`.
 

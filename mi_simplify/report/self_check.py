@@ -13,7 +13,8 @@ import numpy as np
 
 from ..integrators.deferred import DeferredRenderer
 from ..latent.latent import Latent
-from ..latent.model import Mesh, Model
+from ..latent.mesh import Mesh
+from ..latent.model import Model
 from ..latent.surface import MeshTopology, Surface
 from ..latent.tangents import vertex_tangents
 from ..latent.textures import Textures, needs_extended

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from ..export.textures import VISIBLE_GAMMA, encode_normal, linear_to_srgb, to_8bit
-from ..latent.model import Mesh
+from ..latent.mesh import Mesh
 from ..latent.tangents import split_mirrored, vertex_tangents
 from ..scenes.asset import Asset, Material, Part
 from ..scenes.shapes import part_normals

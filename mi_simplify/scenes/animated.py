@@ -10,10 +10,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..latent.topology import vertex_normals, weld
+from ..machine.meshes import mesh_keys
 from .asset import Asset, Part, rig_of
 from .mitsuba_reference import MitsubaReference
 from .rig import Rig, Skin, deform, normal_matrices, turn
-from .shapes import mesh_keys, rendered_mesh, rendered_part
+from .shapes import rendered_mesh, rendered_part
 from .views import Views
 
 

@@ -20,12 +20,13 @@ import numpy as np
 
 mi.set_variant("scalar_rgb")
 
-from ..latent.model import Mesh  # noqa: E402
+from ..latent.mesh import Mesh  # noqa: E402
 from ..latent.tangents import face_tangents  # noqa: E402
+from ..machine.meshes import make_mesh  # noqa: E402
 from .asset import Asset, Material, Part  # noqa: E402
 from .load import load_asset  # noqa: E402
 from .samples import sample_asset  # noqa: E402
-from .shapes import bitmap, make_mesh, part_normals  # noqa: E402
+from .shapes import bitmap, part_normals  # noqa: E402
 
 
 def principled(material: Material, mirrored: bool) -> dict:

@@ -4,15 +4,13 @@ Meshes compressed with Draco (KHR_draco_mesh_compression), decoded into the acce
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..errors import AssetError
 from ..machine import memory
-
-if TYPE_CHECKING:
-    from .gltf_file import GltfFile
+from .gltf_file import GltfFile
 
 EXTENSION = "KHR_draco_mesh_compression"
 
@@ -35,6 +33,8 @@ def draco_accessors(file: GltfFile) -> dict[int, np.ndarray]:
         The package DracoPy is not installed, a compressed mesh is broken, or is not what its accessors declare.
     """
     out: dict[int, np.ndarray] = {}
+    if EXTENSION not in file.json.get("extensionsRequired", []):  # where it has a plain copy as well, that is read
+        return out
     for mesh in file.json.get("meshes", []):
         for primitive in mesh.get("primitives", []):
             packed = (primitive.get("extensions") or {}).get(EXTENSION)

@@ -8,7 +8,6 @@ import base64
 import binascii
 import json
 import struct
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,6 @@ import numpy as np
 
 from ..errors import AssetError
 from ..machine import memory
-from .gltf_draco import EXTENSION as DRACO
-from .gltf_draco import draco_accessors
 from .resources import Resources, read_bytes
 
 #: Extensions that a file may *require*; those without a word in the reader are harmless to ignore.
@@ -26,7 +23,8 @@ SUPPORTED = {
     "KHR_materials_unlit", "KHR_materials_emissive_strength", "KHR_materials_clearcoat", "KHR_materials_sheen",
     "KHR_materials_transmission", "KHR_materials_volume", "KHR_materials_iridescence", "KHR_materials_anisotropy",
     "KHR_materials_dispersion", "KHR_materials_variants", "KHR_materials_pbrSpecularGlossiness", "KHR_lights_punctual",
-    "KHR_xmp_json_ld", "EXT_mesh_gpu_instancing", "EXT_texture_webp", "KHR_animation_pointer", "MSFT_lod", DRACO,
+    "KHR_xmp_json_ld", "EXT_mesh_gpu_instancing", "EXT_texture_webp", "KHR_animation_pointer", "MSFT_lod",
+    "KHR_draco_mesh_compression",
 }  # fmt: skip
 
 _REMEDY = {
@@ -68,6 +66,8 @@ class GltfFile:
                 remedy = _REMEDY.get(extension, "export the file without it")
                 raise AssetError(f"{self.name}: it requires the unsupported extension {extension}; {remedy}")
         self._buffers: dict[int, bytes] = {}
+        self.decoded: dict[int, np.ndarray] = {}
+        """Accessors whose data came out of a compressed mesh, shape (N, C) or (N,), as stored."""
 
     def _parse(self, text: bytes) -> dict[str, Any]:
         try:
@@ -172,8 +172,8 @@ class GltfFile:
         except KeyError as error:
             raise AssetError(f"{self.name}: accessors[{index}] is of an unknown type; export the file again") from error
         count = accessor["count"]
-        if index in self._compressed:
-            out = self._compressed[index].reshape(-1, n_columns)
+        if index in self.decoded:
+            out = self.decoded[index].reshape(-1, n_columns)
         elif accessor.get("bufferView") is None:
             if count > 1 << 26:
                 raise AssetError(f"{self.name}: accessors[{index}] declares {count} elements without data")
@@ -207,11 +207,6 @@ class GltfFile:
         if not count:
             return np.zeros((0, n), dtype)
         return np.ndarray((count, n), dtype, data, offset, (stride, dtype.itemsize))
-
-    @cached_property
-    def _compressed(self) -> dict[int, np.ndarray]:
-        """Accessors whose data are compressed; where the file has a plain copy as well, that one is read."""
-        return draco_accessors(self) if DRACO in self.json.get("extensionsRequired", []) else {}
 
     def image(self, index: int) -> np.ndarray:
         """

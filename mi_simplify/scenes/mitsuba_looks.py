@@ -5,69 +5,14 @@ What Mitsuba's BSDFs look like, one function a plugin, as far as a metallic-roug
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
 from .mitsuba_field import Field, vectors
 from .mitsuba_file import Node
-
-if TYPE_CHECKING:
-    from .mitsuba_material import Materials
-
-
-@dataclass(frozen=True)
-class Look:
-    """
-    What a shape looks like, as fields over its texture coordinates.
-
-    Parameters
-    ----------
-    color : Field
-        Linear RGB.
-    gamma, roughness, metallic : Field
-    opacity : Field or None
-        None for opaque.
-    normal : Field or None
-        Vectors in tangent space; of the first UV direction and, as bitangent, the cross product of normal and tangent.
-    normal_follows_charts : bool
-        Whether the bitangent points up the image in mirrored charts too, as MikkTSpace has it.
-    cutoff : float
-        Opacity threshold, 0 for none.
-    at_vertices : bool
-        Whether the base colour is to be had at points of the shape only (vertex attributes, BSDFs unknown here).
-    has_surface : bool
-        False for ``null``, which bounds a medium.
-    """
-
-    color: Field = Field.constant(0.5, 0.5, 0.5)  # noqa: RUF009 (immutable)
-    gamma: Field = Field.constant(0.0)  # noqa: RUF009
-    roughness: Field = Field.constant(0.5)  # noqa: RUF009
-    metallic: Field = Field.constant(0.0)  # noqa: RUF009
-    opacity: Field | None = None
-    normal: Field | None = None
-    normal_follows_charts: bool = False
-    cutoff: float = 0.0
-    at_vertices: bool = False
-    has_surface: bool = True
-
-
-def texture_transform(texture: Node) -> np.ndarray:
-    """
-    The transform of coordinates of a texture, shape (2, 3).
-    """
-    if "to_uv" not in texture.values:
-        return np.eye(2, 3)
-    numbers = np.array(texture.values["to_uv"].matrix, np.float64).reshape(-1)
-    m = numbers.reshape(int(round(len(numbers) ** 0.5)), -1)
-    return np.column_stack([m[:2, :2], m[:2, -1]])
-
-
-WHITE = Field.constant(1.0, 1.0, 1.0)
-
-#: Mitsuba's default BSDF, Lambert alone.
-DEFAULT = Look(roughness=Field.constant(1.0))
+from .mitsuba_look import DEFAULT, WHITE, Look, texture_transform
+from .mitsuba_material import Materials
 
 
 def _diffuse(node: Node, materials: Materials) -> Look:
@@ -225,3 +170,10 @@ LOOKS: dict[str, Callable[[Node, Materials], Look]] = {
     "blendbsdf": _blend,
     "null": _null,
 }
+
+
+def look_of(node: Node, materials: Materials) -> Look:
+    """
+    What a BSDF looks like, by its plugin; that of a grey surface, with a note, where the plugin is not known.
+    """
+    return LOOKS.get(node.plugin, unknown)(node, materials)

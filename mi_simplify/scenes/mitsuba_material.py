@@ -4,6 +4,7 @@ Mitsuba's BSDFs as metallic-roughness materials, near enough to start a fit from
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -15,7 +16,7 @@ from .images import unit_normals
 from .mapping import Mapping
 from .mitsuba_field import Field, image
 from .mitsuba_file import Node, SceneFile
-from .mitsuba_looks import DEFAULT, LOOKS, WHITE, Look, texture_transform, unknown
+from .mitsuba_look import DEFAULT, WHITE, Look, texture_transform
 from .resources import Resources
 
 #: Textures that are looked up by position or vertex, not by texture coordinates.
@@ -31,10 +32,12 @@ class Materials:
     file : SceneFile
     resources : Resources
         Notes what is only approximated.
+    look_of : callable
+        The look of a BSDF, given these materials for what is nested in it: :func:`.mitsuba_looks.look_of`.
     """
 
-    def __init__(self, file: SceneFile, resources: Resources):
-        self.file, self.resources = file, resources
+    def __init__(self, file: SceneFile, resources: Resources, look_of: Callable[[Node, Materials], Look]):
+        self.file, self.resources, self._look_of = file, resources, look_of
         self._made: dict[int, tuple[Look, Material, Mapping]] = {}
 
     def of(self, bsdf: Node | None) -> tuple[Look, Material, Mapping]:
@@ -54,7 +57,7 @@ class Materials:
         """
         if bsdf is None:
             return DEFAULT
-        return LOOKS.get(bsdf.plugin, unknown)(bsdf, self)
+        return self._look_of(bsdf, self)
 
     def note(self, bsdf: Node, text: str) -> None:
         """

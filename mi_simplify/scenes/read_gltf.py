@@ -13,6 +13,7 @@ from ..errors import AssetError, MeshError
 from ..latent.harmonics import COUNTS
 from ..machine import memory
 from .asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Part
+from .gltf_draco import draco_accessors
 from .gltf_file import GltfFile
 from .gltf_material import read_material
 from .gltf_motion import local_matrix, trs
@@ -40,7 +41,9 @@ def read_gltf(path: Path) -> Asset:
         Indices out of range.
     """
     notes: list[str] = []
-    return _Scene(GltfFile(path, notes), notes).read(path)
+    file = GltfFile(path, notes)
+    file.decoded = draco_accessors(file)
+    return _Scene(file, notes).read(path)
 
 
 class _Scene:

@@ -14,15 +14,16 @@ import numpy as np
 
 from ..errors import AssetError
 from ..latent.topology import vertex_normals
+from ..machine.meshes import mesh_faces, mesh_normals, mesh_positions, mesh_uvs
 from ..machine.upload import upload
 from .asset import Asset, Instance, Material, Part
 from .mapping import Mapping
 from .marching_cubes import marching_cubes
 from .mitsuba_file import Node, SceneFile
-from .mitsuba_looks import Look
+from .mitsuba_look import Look
+from .mitsuba_looks import look_of
 from .mitsuba_material import Materials, vertex_colors
 from .resources import Resources
-from .shapes import mesh_faces, mesh_normals, mesh_positions, mesh_uvs
 from .tessellate import SHAPES, Patch
 
 log = logging.getLogger("mi_simplify")
@@ -142,7 +143,7 @@ class _Shapes:
 
     def __init__(self, file: SceneFile, resources: Resources):
         self.file, self.resources = file, resources
-        self.materials = Materials(file, resources)
+        self.materials = Materials(file, resources, look_of)
         self.parts: list[Part] = []
         self.instances: list[Instance] = []
         self.without_triangles: list[str] = []

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import AssetError, RuntimeUnavailable
-from ..latent.model import Mesh
+from ..latent.mesh import Mesh
 from ..latent.tangents import vertex_tangents
 from .asset import Asset, Part
 from .shapes import part_normals

@@ -14,7 +14,7 @@ from ..integrators.deferred import DeferredRenderer
 from ..machine.upload import upload
 from ..report.self_check import as_written, stored_tangents
 from ..scenes.asset import Asset
-from ..scenes.mitsuba_reference import make_reference
+from ..scenes.path_traced import make_reference
 from ..scenes.reference import Reference
 from ..scenes.views import Views
 

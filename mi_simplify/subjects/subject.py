@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..config import SAMPLE_PREFIX, Config, code_of
+from ..config import SAMPLE_PREFIX, Config
 from ..errors import AssetError
 from ..frame import Frame
 from ..initial import first_guess, quadrics_only
@@ -24,7 +24,7 @@ from ..report.portrait import in_frame, portrait_view, render_picture
 from ..scenes.asset import Asset
 from ..scenes.images import decode_image
 from ..scenes.load import load_asset
-from ..scenes.mitsuba_reference import make_reference
+from ..scenes.path_traced import make_reference
 from ..scenes.read_mitsuba import SceneAsset
 from ..scenes.reference import Reference
 from ..scenes.samples import sample_asset
@@ -208,38 +208,6 @@ def open_asset(name: str) -> Asset:
     if name.startswith(SAMPLE_PREFIX):
         return sample_asset(name.removeprefix(SAMPLE_PREFIX))
     return load_asset(name)
-
-
-def open_subject(config: Config) -> Subject:
-    """
-    The subject that ``config.asset`` names.
-
-    Raises
-    ------
-    UserError
-        It is not there, cannot be read, or cannot be what the configuration wants it to be.
-    """
-    name = config.asset
-    if name == f"{SAMPLE_PREFIX}creature" or code_of(name):
-        from .implicit import ImplicitSubject
-
-        return ImplicitSubject(config)
-    if Path(name).suffix.lower() == ".json":
-        from .images import ImageSubject
-
-        return ImageSubject(config)
-    geometry = open_asset(name)
-    if config.reference.renderer != "mitsuba" or config.reference.command is not None:
-        from .external import ExternalSubject
-
-        return ExternalSubject(config, geometry)
-    if geometry.rig is not None:
-        from .character import Character
-
-        return Character(config, geometry)
-    if config.animation.frames is not None:
-        raise AssetError(f"{geometry.name} has no skeleton, so it has no frames; leave --frames (animation.frames) out")
-    return Subject(config, geometry)
 
 
 def with_ambient(config: Config, **changes: Any) -> Config:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.latent.topology import weld
 
 

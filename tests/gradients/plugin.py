@@ -8,8 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mi_simplify.machine.meshes import POSITIONS, make_mesh
 from mi_simplify.machine.upload import upload
-from mi_simplify.scenes.shapes import POSITIONS, bitmap, make_mesh
+from mi_simplify.scenes.shapes import bitmap
 
 from .scenes import PLANES, Scene, State
 

@@ -10,7 +10,7 @@ import pytest
 
 from mi_simplify.integrators.deferred import DeferredRenderer
 from mi_simplify.latent.model import Model
-from mi_simplify.scenes.mitsuba_reference import make_reference
+from mi_simplify.scenes.path_traced import make_reference
 
 from . import scenes
 from .batched import Batched

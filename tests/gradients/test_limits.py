@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from mi_simplify.errors import UserError
-from mi_simplify.scenes.shapes import POSITIONS, make_mesh
+from mi_simplify.machine.meshes import POSITIONS, make_mesh
 
 from . import meshes, scenes
 from .finite_difference import along

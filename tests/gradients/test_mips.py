@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mi_simplify.integrators.deferred import DeferredRenderer
-from mi_simplify.latent.model import Mesh
+from mi_simplify.latent.mesh import Mesh
 from mi_simplify.latent.surface import MeshTopology
 from mi_simplify.latent.textures import Textures
 from mi_simplify.machine.upload import upload

@@ -7,7 +7,8 @@ import pytest
 
 from mi_simplify.integrators.deferred import DeferredRenderer
 from mi_simplify.latent.latent import Latent
-from mi_simplify.latent.model import Mesh, Model
+from mi_simplify.latent.mesh import Mesh
+from mi_simplify.latent.model import Model
 from mi_simplify.latent.rigging import Rigging
 from mi_simplify.latent.surface import MeshTopology
 from mi_simplify.machine.upload import upload
