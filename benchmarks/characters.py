@@ -53,8 +53,8 @@ def run(asset: str, triangles: int, case: str, settings: list[str], folder: Path
     """One fit, its files, and its verdict on the frames that were held out."""
     from mi_simplify.export import as_exported, export_model
     from mi_simplify.fitting import fit
-    from mi_simplify.report.evaluate import Judging
-    from mi_simplify.report.self_check import self_check
+    from mi_simplify.judging.evaluate import Judging
+    from mi_simplify.judging.self_check import self_check
     from mi_simplify.subjects import open_subject
 
     overrides: list = [{"asset": asset}, f"initial.triangles={triangles}", "initial.atlas_size=1024"]
@@ -124,7 +124,7 @@ def picture(folder: Path, n_frames: int = 6) -> None:
     """A contact sheet: a column for each of some frames, a row for the reference and for each candidate."""
     from PIL import Image
 
-    from mi_simplify.report.pictures import shown
+    from mi_simplify.judging.pictures import shown
 
     rows, images = load(folder)
     if not images:

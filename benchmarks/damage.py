@@ -19,7 +19,7 @@ def main() -> None:
     sys.path.insert(0, str(ROOT / "tests"))
     from damage import damaged
 
-    from mi_simplify.export.obj import write_obj
+    from mi_simplify.formats.obj.write import write_obj
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("asset")

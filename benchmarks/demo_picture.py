@@ -18,7 +18,7 @@ MARGIN = 45  # what the view has to spare around the asset
 
 def main(folder: Path, target: Path) -> None:
     ms.ensure_variant()
-    from mi_simplify.report.pictures import shown
+    from mi_simplify.judging.pictures import shown
     from mi_simplify.report.portrait import portrait_view
 
     config = ms.load_config(folder / "config.yaml")

@@ -55,15 +55,15 @@ class Judge:
     """Views of one size, the asset in them without aliasing, and figures of anything beside it."""
 
     def __init__(self, subject, views, spp: int = 256):
-        from mi_simplify.scenes.path_traced import make_reference
+        from mi_simplify.scenes.references.path_traced import make_reference
 
         self.views, self.asset = views, subject.frame.normalised(subject.geometry)
         self.truth = make_reference(self.asset, spp=spp).render(views, 5)
 
     def once(self, anywhere: bool = False) -> np.ndarray:
         """The asset with one sample in the middle of each pixel, or anywhere in it."""
-        from mi_simplify.scenes.mitsuba_reference import MitsubaReference
-        from mi_simplify.scenes.path_traced import make_reference
+        from mi_simplify.scenes.references.mitsuba import MitsubaReference
+        from mi_simplify.scenes.references.path_traced import make_reference
 
         reference = make_reference(self.asset, spp=1)
         assert isinstance(reference, MitsubaReference)
@@ -72,8 +72,8 @@ class Judge:
 
     def fine(self, k: int, integrator: dict, times: int = 8) -> np.ndarray:
         """What an integrator finds at ``times`` by ``times`` places of every pixel of view k, shape (H, t, W, t, C)."""
-        from mi_simplify.scenes.mitsuba_reference import MitsubaReference
-        from mi_simplify.scenes.path_traced import make_reference
+        from mi_simplify.scenes.references.mitsuba import MitsubaReference
+        from mi_simplify.scenes.references.path_traced import make_reference
 
         reference = make_reference(self.asset, spp=1)
         assert isinstance(reference, MitsubaReference)
@@ -122,19 +122,19 @@ class Judge:
 
     def strict(self, model, mips: str | None = None) -> np.ndarray:
         """A model with one sample in the middle of each pixel."""
-        from mi_simplify.report.screen import Screen
+        from mi_simplify.judging.screen import Screen
 
         return Screen(model, shade="centre", mips=mips).images(self.views)
 
     def figures(self, images: np.ndarray) -> tuple[float, float]:
         """PSNR [dB] and FLIP."""
-        from mi_simplify.report.metrics import flip, psnr
+        from mi_simplify.judging.metrics import flip, psnr
 
         return float(psnr(self.truth, images).mean()), float(flip(self.truth, images).mean())
 
     def flicker(self, images: np.ndarray) -> float:
         """Mean absolute change from frame to frame, less that of the asset without aliasing, pixel by pixel [1/255]."""
-        from mi_simplify.report.metrics import tonemap
+        from mi_simplify.judging.metrics import tonemap
 
         return float(np.abs(np.diff(tonemap(images) - tonemap(self.truth), axis=0)).mean() * 255)
 
@@ -197,7 +197,7 @@ def mips(args) -> None:
 
 def displacement(args) -> None:
     """A displaced base mesh against normal maps alone, as `evaluate` judges."""
-    from mi_simplify.report.evaluate import Judging, compare_assets
+    from mi_simplify.judging.evaluate import Judging, compare_assets
 
     common = [f"asset={args.asset}", f"optimizer.steps={args.steps}", "initial.atlas_size=1024", *args.set]
     few = [*common, "initial.triangles=1000"]
@@ -230,8 +230,8 @@ def tessellations(args) -> None:
     One displaced model for three tessellations at once, beside models that are fitted for one alone, in as many steps
     for each.
     """
-    from mi_simplify.latent.model import tessellated
-    from mi_simplify.report.evaluate import Judging, compare_assets
+    from mi_simplify.judging.evaluate import Judging, compare_assets
+    from mi_simplify.model.model import tessellated
 
     common = [f"asset={args.asset}", "initial.triangles=1000", "initial.atlas_size=1024", *args.set]
     steps, tripled = (f"optimizer.steps={n * args.steps}" for n in (1, 3))
@@ -267,7 +267,7 @@ def chain(args) -> None:
 
 def save(args, name: str, rows: list[np.ndarray], n: int = 6) -> None:
     """A picture: a row for each set of images, the first few views, enlarged to be seen."""
-    from mi_simplify.report.metrics import tonemap
+    from mi_simplify.judging.metrics import tonemap
 
     sheet = np.concatenate([np.concatenate(list(tonemap(x[:n])), axis=1) for x in rows], axis=0)
     times = max(1, 900 // sheet.shape[1])

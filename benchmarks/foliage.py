@@ -40,9 +40,9 @@ def fitted(plant: str, triangles: int, folder: Path, settings: list[str]) -> Pat
 def candidate(kind: str, plant: str, triangles: int, folder: Path, settings: list[str]):
     """One of the assets that are compared; in the units of the plant."""
     from mi_simplify.config import load_config
-    from mi_simplify.initial import quadrics_only
+    from mi_simplify.formats.load import load_asset
+    from mi_simplify.initial.guess import quadrics_only
     from mi_simplify.initial.stochastic import stochastic
-    from mi_simplify.scenes.load import load_asset
     from mi_simplify.subjects import open_asset, open_subject
 
     if kind == "original":
@@ -60,7 +60,7 @@ def candidate(kind: str, plant: str, triangles: int, folder: Path, settings: lis
 
 def pictures(asset, bounds: np.ndarray, environment: str | None, n_views: int, spp: int) -> np.ndarray:
     """Path traced images, shape (B, 512, 512, 4): an environment alone, or the judge's point lights and sky."""
-    from mi_simplify.scenes.path_traced import make_reference
+    from mi_simplify.scenes.references.path_traced import make_reference
     from mi_simplify.scenes.views import Views, held_out_views
 
     views = held_out_views(bounds, n_views, SIDES[0], 5)
@@ -79,7 +79,7 @@ def averaged(images: np.ndarray, side: int) -> np.ndarray:
 
 def figures(target: np.ndarray, images: np.ndarray) -> dict:
     """By side: PSNR [dB], FLIP and by how much the coverage of all views is off."""
-    from mi_simplify.report.metrics import flip, psnr
+    from mi_simplify.judging.metrics import flip, psnr
 
     out = {}
     for side in SIDES:
@@ -93,7 +93,7 @@ def sheet(rows: dict[str, np.ndarray], path: Path, view: int = 0) -> None:
     """One view of every candidate side by side, cut around the original."""
     from PIL import Image
 
-    from mi_simplify.report.metrics import tonemap
+    from mi_simplify.judging.metrics import tonemap
 
     covered = rows["original"][view, ..., 3] > 0.02
     y, x = (np.flatnonzero(covered.any(k)) for k in (1, 0))

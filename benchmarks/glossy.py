@@ -19,9 +19,9 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 import mi_simplify as ms
-from mi_simplify.report.evaluate import Judging, compare_assets
-from mi_simplify.report.pictures import shown
-from mi_simplify.scenes.asset import Asset, Material
+from mi_simplify.judging.evaluate import Judging, compare_assets
+from mi_simplify.judging.pictures import shown
+from mi_simplify.model.asset import Asset, Material
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -56,8 +56,8 @@ def bumpy_sphere(n_triangles: int, n_texels: int, seed: int = 0):
     from scipy.ndimage import zoom
 
     from mi_simplify.initial.sphere import sphere
-    from mi_simplify.latent.mesh import Mesh
-    from mi_simplify.latent.model import Model
+    from mi_simplify.model.mesh import Mesh
+    from mi_simplify.model.model import Model
 
     rng = np.random.default_rng(seed)
     p, faces = sphere(n_triangles)
@@ -205,7 +205,7 @@ def reference(resolution: int, clock: Clock, n_steps: int) -> float:
     import numpy as np
 
     from mi_simplify.config import Config
-    from mi_simplify.scenes.path_traced import make_reference
+    from mi_simplify.scenes.references.path_traced import make_reference
     from mi_simplify.scenes.views import goniometer
 
     settings = Config(asset="none").reference
@@ -256,7 +256,7 @@ def projective(model, views, clock: Clock, n_steps: int) -> float:
     import numpy as np
 
     from mi_simplify.machine.meshes import POSITIONS
-    from mi_simplify.scenes.mitsuba_reference import view_sensor
+    from mi_simplify.scenes.references.mitsuba import view_sensor
     from mi_simplify.scenes.shapes import asset_shapes
 
     arrays = views.arrays()

@@ -99,8 +99,8 @@ def as_in_the_paper(asset: ms.Asset, models: dict[str, ms.Model], picture: Path)
     """
     from PIL import Image
 
-    from mi_simplify.report.metrics import compare
-    from mi_simplify.report.pictures import shown
+    from mi_simplify.judging.metrics import compare
+    from mi_simplify.judging.pictures import shown
     from mi_simplify.scenes.views import goniometer
 
     frame = ms.Frame.around(asset.bounds)
@@ -117,7 +117,7 @@ def quadrics(path: Path, triangles: int) -> ms.Model:
     fast-simplification's mesh with our baker's textures: what a user can have for free.
     """
     from mi_simplify.initial.guess import fast_quadrics
-    from mi_simplify.scenes.asset import Asset, Instance, Part
+    from mi_simplify.model.asset import Asset, Instance, Part
 
     asset = ms.load_asset(path)
     positions, faces, _ = fast_quadrics(asset, triangles)

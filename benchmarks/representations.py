@@ -77,7 +77,7 @@ def settings_of(case: str, args: argparse.Namespace, folder: Path) -> list:
 
 def photographs(asset: str, folder: Path, case: str, environment: str | None) -> Path:
     """100 images of 256² to fit and 20 to judge by, by Mitsuba: lit by a light each, or path traced in a static one."""
-    from mi_simplify.export.captured import write_captured
+    from mi_simplify.formats.captured.write import write_captured
     from mi_simplify.scenes.views import goniometer
 
     model = ms.open_asset(asset)
@@ -97,8 +97,8 @@ def photographs(asset: str, folder: Path, case: str, environment: str | None) ->
 
 def strip(folder: Path) -> None:
     """Reference, first guess and result of two held-out views as one JPEG."""
-    from mi_simplify.report.comparison import load_comparison
-    from mi_simplify.report.pictures import shown
+    from mi_simplify.judging.comparison import load_comparison
+    from mi_simplify.judging.pictures import shown
 
     comparison = load_comparison(folder)
     images = [comparison.reference, comparison.candidates["first guess"], comparison.candidates["result"]]

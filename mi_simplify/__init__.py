@@ -23,21 +23,21 @@ from .machine.runtime import ensure_variant as ensure_variant
 __version__ = "0.1.0"
 
 _EXPORTS = {
-    "Asset": "scenes.asset",
+    "Asset": "model.asset",
     "Config": "config",
-    "Frame": "frame",
-    "Model": "latent.model",
+    "Frame": "model.frame",
+    "Model": "model.model",
     "UserError": "errors",
-    "bake": "initial",
+    "bake": "initial.bake.baker",
     "doctor": "machine.diagnosis",
     "dump": "config",
-    "evaluate": "report",
+    "evaluate": "judging",
     "export_model": "export",
-    "first_guess": "initial",
+    "first_guess": "initial.guess",
     "fit": "fitting",
-    "load_asset": "scenes.load",
+    "load_asset": "formats.load",
     "load_config": "config",
-    "make_reference": "scenes.path_traced",
+    "make_reference": "scenes.references.path_traced",
     "open_asset": "subjects",
     "report_folder": "report",
     "run_job": "jobs.job",
@@ -62,7 +62,7 @@ def __dir__() -> list[str]:
 
 
 def _install_plugins() -> None:
-    importlib.import_module(".machine.plugins", __name__)  # registers itself
+    importlib.import_module(".plugins", __name__)  # registers itself
 
 
 _after_import("mitsuba", _install_plugins)

@@ -4,7 +4,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from toy import files
+from support.paths import ROOT
+from support.toy import files
 
 from mi_simplify import cli
 from mi_simplify.machine import runtime
@@ -19,7 +20,7 @@ def variant() -> str:
 @pytest.fixture
 def shared_assets() -> Path:
     """Real models beside the checkout; tests that want them skip where they are not."""
-    path = Path(__file__).resolve().parents[2] / "shared" / "assets"
+    path = ROOT.parent / "shared" / "assets"
     if not path.is_dir():
         pytest.skip("shared/assets is not beside this checkout")
     return path
@@ -30,7 +31,7 @@ def node_run():
     """Run a script in node with a package that it needs, or skip; see ``npm i gltf-validator mikktspace``."""
 
     def run(package: str, script: str, stdin: str | bytes) -> str:
-        root = Path(__file__).resolve().parents[1]
+        root = ROOT
         try:
             probe = subprocess.run(
                 ["node", "-e", f"require.resolve('{package}')"], cwd=root, capture_output=True, timeout=60

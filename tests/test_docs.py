@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.paths import ROOT
 
 from mi_simplify import cli
-from mi_simplify.export.captured import write_captured
+from mi_simplify.formats.captured.write import write_captured
+from mi_simplify.formats.load import load_asset
 from mi_simplify.initial.sphere import sphere
-from mi_simplify.scenes.load import load_asset
-from mi_simplify.scenes.path_traced import make_reference
+from mi_simplify.scenes.references.path_traced import make_reference
 from mi_simplify.scenes.views import goniometer
 
-ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 #: What makes a documented run short: nothing that a command or snippet is about.

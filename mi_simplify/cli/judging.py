@@ -50,7 +50,7 @@ def compare(**options) -> None:
 def _judge(reference, candidates, out, views, resolution, spp, seed, frames, variant, overwrite, quiet) -> None:
     prepare(variant)
     from ..jobs.job import evaluate_job, figure_rows
-    from ..report.evaluate import Judging
+    from ..judging.evaluate import Judging
 
     with shown(quiet) as progress:
         figures = evaluate_job(

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from .console import prepare, shown
-from .options import (  # fmt: skip
+from .options import (
     DRY_RUN,
     FRAMES,
     JOB,
@@ -78,7 +78,7 @@ def _mode(mode: str, asset: str, triangles: int | None, config, settings, option
     given: dict[str, Any] = {} if triangles is None else {"initial": {"triangles": triangles}}
     wanted = load_config(config, [*settings, {"asset": asset}, given], options["preset"])
     prepare(options["variant"])
-    from ..initial import is_aggregate
+    from ..initial.cards.cards import is_aggregate
     from ..subjects import open_subject
 
     why = is_aggregate(open_subject(wanted).geometry, wanted.initial.triangles or 3000)

@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..errors import OutputError
-from ..latent.model import Model
-from ..scenes.asset import Asset
-from ..scenes.load import load_asset
-from .files import make_folder
-from .gltf import write_glb as write_glb
+from ..formats.gltf.write import write_glb as write_glb
+from ..formats.load import load_asset
+from ..formats.obj.write import write_obj as write_obj
+from ..machine.files import make_folder
+from ..model.asset import Asset
+from ..model.model import Model
 from .mips import write_mips
-from .obj import write_obj as write_obj
 from .own_normals import with_own_normals
 
 FORMATS = {"glb": "model.glb", "obj": "model.obj", "usd": "model.usdc"}
@@ -69,7 +69,7 @@ def export_model(
         elif name == "obj":
             write_obj(model, path)
         else:
-            from .usd import write_usd  # usd-core takes half a second to load
+            from ..formats.usd.write import write_usd  # usd-core takes half a second to load
 
             write_usd(model, path, extras=extras)
     return paths

@@ -14,9 +14,9 @@ import numpy as np
 from PIL import Image
 from pxr import Gf, Sdf, Usd, UsdShade
 
-from ..latent.model import Model
-from .files import write_atomic
-from .gltf import write_glb
+from ..formats.gltf.write import write_glb
+from ..machine.files import write_atomic
+from ..model.model import Model
 
 
 def write_displacement(model: Model, folder: Path, *, extras: dict | None = None) -> list[Path]:
@@ -42,7 +42,7 @@ def write_displacement(model: Model, folder: Path, *, extras: dict | None = None
     OutputError
         A file cannot be written.
     """
-    from .usd import write_usd
+    from ..formats.usd.write import write_usd
 
     displacement = model.displacement
     assert displacement is not None

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..latent.harmonics import environment_image
-from .files import write_atomic
+from ..machine.files import write_atomic
+from ..model.harmonics import environment_image
 
 ENVIRONMENT = "environment.exr"
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from pxr import Gf, Usd, UsdGeom, UsdLod, Vt
 
-from .files import write_atomic
+from ..machine.files import write_atomic
 
 SCREEN = (1920, 1080)
 """Width and height of the screen that shares of it are reckoned for [pixels]."""

@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..latent.model import Model
-from .files import write_atomic
-from .textures import encode_textures, png
+from ..formats.textures import encode_textures, png
+from ..machine.files import write_atomic
+from ..model.model import Model
 
 
 def write_mips(model: Model, folder: Path) -> list[Path]:

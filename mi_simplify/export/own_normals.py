@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..initial.atlas import dilate
-from ..initial.lookup import LOWEST, LowPoly
-from ..latent.mesh import Mesh
-from ..latent.model import Model, tessellated
+from ..initial.bake.lookup import LOWEST, LowPoly
+from ..initial.unwrap.atlas import dilate
+from ..model.mesh import Mesh
+from ..model.model import Model, tessellated
 
 
 def with_own_normals(model: Model) -> Model:
@@ -20,7 +20,7 @@ def with_own_normals(model: Model) -> Model:
     that is both already comes back unchanged.
 
     Renderers that trace paths take a vertex normal for the surface: light from behind it counts for nothing, whatever
-    the normal map says. Normals that several tessellations share, see :attr:`..latent.model.Displacement.framed`, lie
+    the normal map says. Normals that several tessellations share, see :attr:`..model.model.Displacement.framed`, lie
     too far from those of the finer ones for that. What it costs is that a map of large turns from texel to texel is
     interpolated less well.
 

@@ -16,23 +16,23 @@ from ..config import Config
 from ..config.schema import Views as ViewSettings
 from ..integrators.deferred import DeferredRenderer
 from ..latent.latent import Latent
-from ..latent.model import Model
 from ..latent.surface import Surface
 from ..latent.textures import Textures
-from ..scenes.reference import OwnViews, Reference
+from ..model.model import Model
+from ..scenes.references.reference import OwnViews, Reference
 from ..scenes.views import Views, goniometer
-from .ambient import AmbientSteps
 from .follow import following
 from .held_out import HeldOut
-from .laplacian import Laplacian
 from .losses import frame_loss, image_loss
+from .parameters.ambient import AmbientSteps
+from .parameters.laplacian import Laplacian
+from .parameters.shape import ShapeSteps
+from .parameters.texels import TexelAdam
 from .pool import ViewPool
 from .residual import PathResidual
 from .schedules import exponential, laplacian_weight, resolution_at
-from .shape import ShapeSteps
 from .sizes import at_sizes
 from .tessellations import tessellating
-from .texels import TexelAdam
 
 
 class Fit:

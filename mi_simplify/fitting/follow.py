@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..latent.rigging import Rigging
+from ..model.rigging import Rigging
 from ..scenes.views import Views
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..config import Config
 from ..machine.upload import upload
-from ..scenes.reference import OwnViews, Reference
+from ..scenes.references.reference import OwnViews, Reference
 from ..scenes.views import Views
 from .losses import frame_loss, srgb
 

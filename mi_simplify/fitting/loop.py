@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from ..config import Config
-from ..latent.model import Model
+from ..model.model import Model
 from ..progress import Progress, ProgressCallback, silent
-from ..scenes.reference import Reference
+from ..scenes.references.reference import Reference
 from .fit import Fit
 
 log = logging.getLogger("mi_simplify")

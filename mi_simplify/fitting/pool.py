@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..machine.upload import upload
-from ..scenes.reference import Reference
+from ..scenes.references.reference import Reference
 from ..scenes.views import Views
 
 log = logging.getLogger("mi_simplify")

@@ -11,10 +11,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..integrators.deferred import DeferredRenderer
-from ..latent.model import Model
 from ..latent.surface import Surface
 from ..latent.textures import Textures
-from ..scenes.path_traced import make_reference
+from ..model.model import Model
+from ..scenes.references.path_traced import make_reference
 from ..scenes.views import Views
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..latent.model import Displacement
+from ..model.model import Displacement
 from ..scenes.views import Views
 
 

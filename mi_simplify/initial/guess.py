@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 
 from ..errors import MeshError
-from ..latent.mesh import Mesh
-from ..latent.mips import filtered_levels, halved
-from ..latent.model import Displacement, Model, tessellated
-from ..latent.tessellation import Tessellation
 from ..machine.runtime import ensure_variant
-from ..scenes.asset import Asset
-from .bake import bake
-from .cards import cards, is_aggregate
-from .cleanup import clean
+from ..model.asset import Asset
+from ..model.mesh import Mesh
+from ..model.mips import filtered_levels, halved
+from ..model.model import Displacement, Model, tessellated
+from ..model.tessellation import Tessellation
+from .bake.baker import bake
+from .cards.cards import cards, is_aggregate
 from .closest import ClosestPoints
-from .decimate import decimate
-from .kept import keep_mesh
+from .reduce.cleanup import clean
+from .reduce.decimate import decimate
+from .repair.kept import keep_mesh
 from .soup import merge
 from .sphere import sphere
-from .unwrap import unwrap
+from .unwrap.charting import unwrap
 
 log = logging.getLogger("mi_simplify")
 
@@ -69,7 +69,8 @@ def first_guess(
     seed : int
         Of the noise.
     kind : {'decimate', 'cards', 'sphere', 'mesh'}
-        Quadric edge collapse of the asset; textured quads, see :func:`.cards.cards`; an ellipsoid in its bounding box;
+        Quadric edge collapse of the asset; textured quads, see :func:`.cards.cards.cards`; an ellipsoid in its
+        bounding box;
         the mesh of ``init``.
     init : Asset, optional
         Low-poly mesh in the frame of ``asset``, for ``kind="mesh"``. UVs without overlap are kept.
@@ -238,7 +239,7 @@ def reduced(asset: Asset, triangles: int) -> tuple[np.ndarray, np.ndarray, list[
         )
     soup, notes = clean(merge(asset))
     ensure_variant()
-    from .visibility import visibility  # traces rays
+    from .reduce.visibility import visibility  # traces rays
 
     opaque = np.array([m.alpha_mode == "OPAQUE" for m in soup.materials])[soup.material_index]
     seen = visibility(soup.positions, soup.position_faces, opaque)

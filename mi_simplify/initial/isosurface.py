@@ -10,9 +10,9 @@ import numpy as np
 
 from ..machine import memory
 from ..machine.upload import upload
-from ..scenes.asset import Asset, Instance, Material, Part
-from ..scenes.implicit import Implicit
-from ..scenes.marching_cubes import marching_cubes
+from ..model.asset import Asset, Instance, Material, Part
+from ..model.marching_cubes import marching_cubes
+from ..scenes.implicit.surface import Implicit
 
 #: Points whose distances are computed at once.
 _CHUNK = 1 << 22

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import MeshError
-from ..latent.topology import vertex_normals, weld
-from ..scenes.asset import Asset, Material
+from ..model.asset import Asset, Material
+from ..model.topology import vertex_normals, weld
 
 
 @dataclass(frozen=True)

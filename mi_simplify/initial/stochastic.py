@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import MeshError
-from ..scenes.asset import Asset, Instance, Material, Part
+from ..model.asset import Asset, Instance, Material, Part
 from .guess import mean_material
 
 

@@ -11,11 +11,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import AssetError
+from ..formats.captured.read import Captured
 from ..machine.upload import upload
-from ..scenes.asset import Asset, Instance, Material, Part
-from ..scenes.captured import Captured
-from ..scenes.image_reference import squared
-from ..scenes.marching_cubes import marching_cubes
+from ..model.asset import Asset, Instance, Material, Part
+from ..model.marching_cubes import marching_cubes
+from ..scenes.references.images import squared
 
 #: Side of the masks that are projected [px].
 _MASK = 256

@@ -9,9 +9,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import UserError
-from ..latent.topology import weld
 from ..machine.meshes import POSITIONS, mesh_faces, mesh_positions
 from ..machine.upload import upload
+from ..model.topology import weld
 from ..scenes.views import Views
 from .camera import Cameras
 from .edge_rays import AT_EDGE

@@ -19,15 +19,15 @@ from .. import __version__
 from ..config import Config
 from ..config.schema import Reference as ReferenceSettings
 from ..errors import ConfigError
-from ..export.files import make_folder, write_atomic
-from ..latent.model import Model, tessellated
+from ..judging.metrics import flip, psnr
+from ..judging.screen import Screen
+from ..judging.switching import switching_size, views_of
+from ..machine.files import make_folder, write_atomic
 from ..machine.runtime import ensure_variant
+from ..model.model import Model, tessellated
 from ..progress import Progress, ProgressCallback, silent
 from ..record.output import RunFolder
-from ..report.metrics import flip, psnr
-from ..report.screen import Screen
-from ..report.switching import switching_size, views_of
-from ..scenes.reference import Reference
+from ..scenes.references.reference import Reference
 from ..scenes.views import held_out_views
 from ..subjects import open_subject
 from .job import run_job

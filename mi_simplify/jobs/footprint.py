@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from ..config import Config
 from ..machine import memory
-from ..scenes.asset import Asset
+from ..model.asset import Asset
 
 #: Python, Mitsuba, LLVM and their kernels, with a job of next to nothing.
 _BASE = 440 << 20

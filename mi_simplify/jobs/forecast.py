@@ -20,20 +20,20 @@ from ..export import FORMATS, as_exported
 from ..fitting import Run
 from ..fitting.fit import REFRESH_EVERY
 from ..fitting.schedules import resolution_at
-from ..latent.mesh import Mesh
-from ..latent.model import Model
+from ..judging.evaluate import Judging
+from ..judging.pictures import contact_sheet
 from ..machine import memory
 from ..machine.runtime import ensure_variant
+from ..model.asset import Asset
+from ..model.mesh import Mesh
+from ..model.model import Model
 from ..progress import Progress, ProgressCallback, in_words, silent
 from ..record.events import require_tensorboard
 from ..record.output import RunFolder
 from ..record.preview import SHARE
 from ..record.stopwatch import Stopwatch
-from ..report.evaluate import Judging
 from ..report.html import report_page
-from ..report.pictures import contact_sheet
-from ..scenes.asset import Asset
-from ..scenes.reference import Reference
+from ..scenes.references.reference import Reference
 from ..subjects import Subject, open_subject
 from .footprint import check_footprint, footprint
 

@@ -14,15 +14,15 @@ import numpy as np
 
 from ..config.forest import Forest
 from ..errors import Defect
-from ..export.files import write_atomic
-from ..export.instancing import write_instanced
-from ..export.textures import png, to_8bit
+from ..formats.gltf.instancing import write_instanced
+from ..formats.textures import png, to_8bit
+from ..judging.metrics import flip, psnr, tonemap
+from ..machine.files import write_atomic
 from ..progress import Progress, ProgressCallback, silent
 from ..record.output import RunFolder
-from ..report.metrics import flip, psnr, tonemap
-from ..scenes.scatter import scatter
 from ..subjects import open_asset
 from ..subjects.subject import require_environment
+from .scatter import scatter
 
 
 def render_forest(
@@ -100,7 +100,7 @@ def render_forest(
 def _rendered(job: dict, path: Path) -> dict[str, float]:
     """Render in a process of its own; what that cost."""
     path.write_text(json.dumps(job), encoding="utf-8")
-    command = [sys.executable, "-m", "mi_simplify.scenes.forest_worker", str(path)]
+    command = [sys.executable, "-m", "mi_simplify.jobs.forest_worker", str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         last = done.stderr.strip().splitlines()[-1:] or [f"exit code {done.returncode}"]

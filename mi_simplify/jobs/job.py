@@ -13,11 +13,16 @@ from .. import __version__
 from ..config import Config, dump, load_config
 from ..errors import Defect
 from ..export import as_exported, export_model
-from ..export.files import write_atomic
 from ..export.own_normals import with_own_normals
-from ..initial import first_guess
-from ..latent.model import Model
+from ..formats.load import load_asset
+from ..initial.guess import first_guess
+from ..judging.comparison import save_comparison
+from ..judging.evaluate import Judging
+from ..judging.self_check import LEAST_PSNR, self_check
+from ..machine.files import write_atomic
 from ..machine.runtime import ensure_variant
+from ..model.asset import Asset
+from ..model.model import Model
 from ..progress import Progress, ProgressCallback, silent
 from ..record.checkpoint import Checkpoint
 from ..record.events import require_tensorboard
@@ -25,12 +30,7 @@ from ..record.interrupt import DeferredInterrupt
 from ..record.output import RunFolder
 from ..record.record import Record
 from ..record.stopwatch import Stopwatch
-from ..report.comparison import save_comparison
-from ..report.evaluate import Judging
 from ..report.folder import report_folder
-from ..report.self_check import LEAST_PSNR, self_check
-from ..scenes.asset import Asset
-from ..scenes.load import load_asset
 from ..subjects import Subject, open_asset, open_subject
 from .footprint import check_footprint
 

@@ -11,12 +11,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..machine.upload import upload
+from ..model.mesh import Mesh
+from ..model.model import Model
+from ..model.tangents import split_mirrored
+from ..model.tessellation import Tessellation, bilinear
 from ..scenes.views import Views
-from .mesh import Mesh
-from .model import Model
 from .surface import MeshTopology, Surface
-from .tangents import split_mirrored
-from .tessellation import Tessellation, bilinear
 
 
 class Displaced:
@@ -30,7 +30,7 @@ class Displaced:
     Fitted for several tessellations at once, views say by their ``subdivisions`` which one they show. A coarser one is
     made on the topology of the finest all the same, whose further vertices then lie in the middle of the coarse edges,
     and have the means of the coarse normals, tangents and texture coordinates: the same surface, to the bit of its
-    image. All of them are shaded with the normals of the coarsest, see :attr:`.model.Displacement.framed`.
+    image. All of them are shaded with the normals of the coarsest, see :attr:`..model.model.Displacement.framed`.
 
     Parameters
     ----------

@@ -11,12 +11,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from ..model.mesh import Mesh
+from ..model.model import Model
+from ..model.tangents import split_mirrored
 from ..scenes.views import Views
-from .mesh import Mesh
-from .model import Model
 from .operation import operation_of
 from .surface import MeshTopology, Surface
-from .tangents import split_mirrored
 from .textures import Textures
 
 

@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import MeshError
+from ..model.mesh import Mesh
+from ..model.model import Model
 from ..scenes.views import Views
-from .mesh import Mesh
-from .model import Model
 from .surface import MeshTopology, Surface
 
 

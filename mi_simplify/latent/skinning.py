@@ -11,10 +11,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..machine.upload import upload
-from ..scenes.rig import BIND_POSE, bone_distances, bones, normal_matrices
+from ..model.model import Model
+from ..model.rig import BIND_POSE, bone_distances, bones, normal_matrices
+from ..model.rigging import Rigging
 from ..scenes.views import Views
-from .model import Model
-from .rigging import Rigging
 from .surface import MeshTopology, Surface
 
 #: What all joints together take of a vertex that none of them pulls at: a weight of 0 has no logarithm.

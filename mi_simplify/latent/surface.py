@@ -12,8 +12,8 @@ import numpy as np
 
 from ..machine.frozen import frozen
 from ..machine.upload import upload
-from .mesh import Mesh
-from .tangents import face_tangents, split_mirrored
+from ..model.mesh import Mesh
+from ..model.tangents import face_tangents, split_mirrored
 
 
 @dataclass

@@ -12,8 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..machine.upload import upload
+from ..model.mips import filtered_levels, n_levels
 from .footprint import BLOCK, Footprint
-from .mips import filtered_levels, n_levels
 
 #: Order of the channels in memory; the last four are there only where opacity or gamma is used.
 CHANNELS = ("red", "green", "blue", "roughness", "metallic", "nx", "ny", "nz", "opacity", "gamma", "free0", "free1")

@@ -11,8 +11,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..model.model import Model, VertexSets
 from ..scenes.views import Views
-from .model import Model, VertexSets
 from .surface import MeshTopology, Surface
 
 

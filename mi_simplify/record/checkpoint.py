@@ -19,12 +19,12 @@ import numpy as np
 from .. import __version__
 from ..config import Config
 from ..errors import OutputError
-from ..export.files import make_folder, write_atomic
-from ..latent.mesh import Mesh
-from ..latent.model import Displacement, Model, VertexSets
-from ..latent.rigging import Rigging
-from ..scenes.asset import Asset
-from ..scenes.rig import Rig
+from ..machine.files import make_folder, write_atomic
+from ..model.asset import Asset
+from ..model.mesh import Mesh
+from ..model.model import Displacement, Model, VertexSets
+from ..model.rig import Rig
+from ..model.rigging import Rigging
 
 log = logging.getLogger("mi_simplify")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import RuntimeUnavailable
-from ..export.textures import png
+from ..formats.textures import png
 
 log = logging.getLogger("mi_simplify")
 

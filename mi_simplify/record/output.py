@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError, UserError
-from ..export.files import write_atomic
+from ..machine.files import write_atomic
 from .checkpoint import STATE
 
 log = logging.getLogger("mi_simplify")

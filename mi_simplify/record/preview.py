@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import OutputError
-from ..export.files import write_atomic
-from ..export.textures import png
 from ..fitting import Run
-from ..report.pictures import shown
+from ..formats.textures import png
+from ..judging.pictures import shown
+from ..machine.files import write_atomic
 
 log = logging.getLogger("mi_simplify")
 

@@ -15,10 +15,10 @@ from ..errors import OutputError
 from ..export import export_model
 from ..export.environment import write_environment
 from ..fitting import FitResult, Run, fit
-from ..frame import Frame
-from ..latent.model import Model
+from ..model.frame import Frame
+from ..model.model import Model
 from ..progress import Progress, ProgressCallback
-from ..scenes.reference import Reference
+from ..scenes.references.reference import Reference
 from .checkpoint import Checkpoint
 from .events import EVENTS, Events
 from .interrupt import DeferredInterrupt

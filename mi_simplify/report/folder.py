@@ -14,12 +14,12 @@ import numpy as np
 
 from ..config import SAMPLE_PREFIX
 from ..errors import OutputError, UserError
-from ..scenes.asset import Asset
-from ..scenes.images import decode_image
-from ..scenes.load import load_asset
-from ..scenes.read_mitsuba import SceneAsset
-from ..scenes.samples import sample_asset
-from .comparison import Comparison, load_comparison
+from ..formats.images import decode_image
+from ..formats.load import load_asset
+from ..formats.mitsuba.read import SceneAsset
+from ..judging.comparison import Comparison, load_comparison
+from ..model.asset import Asset
+from ..scenes.samples.catalogue import sample_asset
 from .html import write_report
 from .viewer import MOST_TRIANGLES
 

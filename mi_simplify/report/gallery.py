@@ -12,10 +12,10 @@ import html
 import numpy as np
 from PIL import Image
 
-from .comparison import Comparison
+from ..judging.comparison import Comparison
+from ..judging.metrics import COVERED
+from ..judging.pictures import Column, coverage_errors, flip_pictures, shown, signed_difference
 from .embed import data_uri
-from .metrics import COVERED
-from .pictures import Column, coverage_errors, flip_pictures, shown, signed_difference
 
 MOST_VIEWS = 12
 """So many views are embedded, the first ones."""

@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..export.files import write_atomic
-from ..export.textures import to_8bit
+from ..formats.textures import to_8bit
+from ..judging.comparison import Comparison
+from ..judging.pictures import BLUE, DIFFERENCE_GAIN, RED
+from ..machine.files import write_atomic
+from ..model.asset import Asset
 from ..progress import in_words
-from ..scenes.asset import Asset
 from .chart import line_chart
-from .comparison import Comparison
 from .embed import json_block, script_hash, web_file
 from .gallery import MOST_VIEWS, divider, grid, left_out, pictures
-from .pictures import BLUE, DIFFERENCE_GAIN, RED
 from .viewer import texture_sheets, viewer_data
 
 FIGURES = {"psnr": ("PSNR", "{:.2f}", "dB", +1), "flip": ("FLIP", "{:.4f}", "", -1)}
@@ -74,7 +74,8 @@ def report_page(
     Parameters
     ----------
     comparison : Comparison
-        Of :func:`.evaluate.compare_assets`; the last candidate is the result, the first one what it is set against.
+        Of :func:`..judging.evaluate.compare_assets`; the last candidate is the result, the first one what it is set
+        against.
     title, summary : str
         Heading, and a sentence below it.
     models : mapping of str to Asset, optional

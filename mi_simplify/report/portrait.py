@@ -11,12 +11,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import AssetError, OutputError
-from ..export.files import make_folder, write_atomic
-from ..export.textures import png
-from ..scenes.asset import Asset
-from ..scenes.path_traced import make_reference
+from ..formats.textures import png
+from ..judging.pictures import shown
+from ..machine.files import make_folder, write_atomic
+from ..model.asset import Asset
+from ..scenes.references.path_traced import make_reference
 from ..scenes.views import Views, look_at
-from .pictures import shown
 
 SUFFIXES = (".png", ".exr")
 
@@ -80,7 +80,7 @@ def render_picture(
     ----------
     asset : Asset
     transport, spp, max_depth
-        As in :func:`mi_simplify.scenes.path_traced.make_reference`.
+        As in :func:`mi_simplify.scenes.references.path_traced.make_reference`.
     view
         As in :func:`portrait_view`.
 

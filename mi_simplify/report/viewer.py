@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from ..export.textures import VISIBLE_GAMMA, encode_normal, linear_to_srgb, to_8bit
-from ..latent.mesh import Mesh
-from ..latent.tangents import split_mirrored, vertex_tangents
-from ..scenes.asset import Asset, Material, Part
+from ..formats.textures import VISIBLE_GAMMA, encode_normal, linear_to_srgb, to_8bit
+from ..model.asset import Asset, Material, Part
+from ..model.mesh import Mesh
+from ..model.tangents import split_mirrored, vertex_tangents
 from ..scenes.shapes import part_normals
 from .embed import data_uri, packed_array
 

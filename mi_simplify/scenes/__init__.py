@@ -1,1 +1,1 @@
-"""What is looked at and from where: assets, reference renderers, views, samples."""
+"""What is looked at, and from where."""

@@ -10,11 +10,11 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..latent.mesh import Mesh
-from ..latent.tangents import split_mirrored, vertex_tangents
-from ..latent.topology import vertex_normals, weld
 from ..machine.meshes import make_mesh
-from .asset import Asset, Instance, Material, Part
+from ..model.asset import Asset, Instance, Material, Part
+from ..model.mesh import Mesh
+from ..model.tangents import split_mirrored, vertex_tangents
+from ..model.topology import vertex_normals, weld
 
 
 def part_normals(part: Part) -> np.ndarray:

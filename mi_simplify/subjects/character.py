@@ -14,16 +14,16 @@ from ..config import Config
 from ..config.animation import Animation
 from ..config.presets import STARTS
 from ..errors import ConfigError
-from ..initial.weights import bone_weights, carried_weights
-from ..latent.model import Model
-from ..latent.rigging import Rigging
+from ..initial.reduce.weights import bone_weights, carried_weights
+from ..judging.comparison import Comparison
+from ..judging.evaluate import Judging
+from ..judging.frames import compare_characters
+from ..judging.pruning import pruning_cost
+from ..model.asset import Asset, rig_of
+from ..model.model import Model
+from ..model.rig import BIND_POSE, Rig
+from ..model.rigging import Rigging
 from ..progress import ProgressCallback
-from ..report.comparison import Comparison
-from ..report.evaluate import Judging
-from ..report.frames import compare_characters
-from ..report.pruning import pruning_cost
-from ..scenes.asset import Asset, rig_of
-from ..scenes.rig import BIND_POSE, Rig
 from .subject import Subject
 
 

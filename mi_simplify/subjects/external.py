@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from ..config import Config
 from ..errors import ConfigError
-from ..scenes.asset import Asset
-from ..scenes.reference import FramedReference, Reference
-from .command import CommandReference
+from ..model.asset import Asset
+from ..scenes.references.command import CommandReference
+from ..scenes.references.reference import FramedReference, Reference
 from .subject import Subject, judged_as_fitted
 
 
@@ -39,6 +39,6 @@ class ExternalSubject(Subject):
         reference = self.config.reference
         if reference.command is not None:
             return CommandReference(reference.command, self.config.asset)
-        from ..scenes.vtk_reference import VtkReference
+        from ..scenes.references.vtk import VtkReference
 
         return VtkReference(self.geometry, spp=spp)

@@ -12,14 +12,14 @@ import numpy as np
 
 from ..config import Config
 from ..errors import AssetError, ConfigError
+from ..formats.captured.read import Captured, read_captured
 from ..initial.visual_hull import mean_color, visual_hull
+from ..judging.comparison import Comparison
+from ..judging.evaluate import Judging
+from ..model.asset import Asset
 from ..progress import ProgressCallback
-from ..report.comparison import Comparison
-from ..report.evaluate import Judging
-from ..scenes.asset import Asset
-from ..scenes.captured import Captured, read_captured
-from ..scenes.image_reference import ImageReference
-from ..scenes.reference import Reference
+from ..scenes.references.images import ImageReference
+from ..scenes.references.reference import Reference
 from .subject import Subject, with_ambient
 
 #: Radiance that an unknown environment starts with; what is found has base colours to match.
@@ -28,7 +28,7 @@ LIGHT = 0.8
 
 class ImageSubject(Subject):
     """
-    A ``transforms.json``, see :mod:`..scenes.captured`.
+    A ``transforms.json``, see :mod:`..formats.captured.read`.
 
     Parameters
     ----------

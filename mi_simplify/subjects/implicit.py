@@ -7,10 +7,10 @@ from __future__ import annotations
 from ..config import SAMPLE_PREFIX, Config
 from ..errors import ConfigError
 from ..initial.isosurface import isosurface
-from ..scenes.creature import creature
-from ..scenes.implicit import implicit_named
-from ..scenes.reference import FramedReference, Reference
-from ..scenes.sphere_tracing import SphereTraced
+from ..scenes.implicit.surface import implicit_named
+from ..scenes.references.reference import FramedReference, Reference
+from ..scenes.references.sphere_tracing import SphereTraced
+from ..scenes.samples.creature import creature
 from .subject import Subject, judged_as_fitted, with_ambient
 
 

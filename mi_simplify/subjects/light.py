@@ -11,11 +11,11 @@ import numpy as np
 from ..config import Config
 from ..errors import AssetError
 from ..integrators.deferred import DeferredRenderer
+from ..judging.self_check import as_written, stored_tangents
 from ..machine.upload import upload
-from ..report.self_check import as_written, stored_tangents
-from ..scenes.asset import Asset
-from ..scenes.path_traced import make_reference
-from ..scenes.reference import Reference
+from ..model.asset import Asset
+from ..scenes.references.path_traced import make_reference
+from ..scenes.references.reference import Reference
 from ..scenes.views import Views
 
 
@@ -53,7 +53,7 @@ class InEnvironment:
         self._renderer.move(positions)
 
     def render(self, views: Views, seed: int = 0) -> np.ndarray:
-        """See :class:`..scenes.reference.Reference`."""
+        """See :class:`..scenes.references.reference.Reference`."""
         with dr.suspend_grad():
             frame = self._renderer.render(
                 self.surface, self.textures, views.under(self._ambient), spp=self.spp, seed=dr.opaque(mi.UInt32, seed)

@@ -13,21 +13,21 @@ import numpy as np
 
 from ..config import SAMPLE_PREFIX, Config
 from ..errors import AssetError
-from ..frame import Frame
-from ..initial import first_guess, quadrics_only
-from ..latent.harmonics import constant_environment, environment_coefficients
-from ..latent.model import Model, VertexSets
+from ..formats.images import decode_image
+from ..formats.load import load_asset
+from ..formats.mitsuba.read import SceneAsset
+from ..initial.guess import first_guess, quadrics_only
+from ..judging.comparison import Comparison
+from ..judging.evaluate import Judging, Rendering, compare_assets, compare_renderings
+from ..model.asset import Asset
+from ..model.frame import Frame
+from ..model.harmonics import constant_environment, environment_coefficients
+from ..model.model import Model, VertexSets
 from ..progress import ProgressCallback
-from ..report.comparison import Comparison
-from ..report.evaluate import Judging, Rendering, compare_assets, compare_renderings
 from ..report.portrait import in_frame, portrait_view, render_picture
-from ..scenes.asset import Asset
-from ..scenes.images import decode_image
-from ..scenes.load import load_asset
-from ..scenes.path_traced import make_reference
-from ..scenes.read_mitsuba import SceneAsset
-from ..scenes.reference import Reference
-from ..scenes.samples import sample_asset
+from ..scenes.references.path_traced import make_reference
+from ..scenes.references.reference import Reference
+from ..scenes.samples.catalogue import sample_asset
 from ..scenes.views import Views, held_out_views
 from .light import fitted_light
 
@@ -106,7 +106,7 @@ class Subject:
 
     def baseline(self, triangles: int) -> Model:
         """
-        What a user would take instead, in the normalised frame: see :func:`mi_simplify.initial.quadrics_only`.
+        What a user would take instead, in the normalised frame: see :func:`mi_simplify.initial.guess.quadrics_only`.
         """
         target = self.frame.normalised(self.geometry)
         return quadrics_only(target, triangles, atlas_size=self.config.initial.atlas_size)[0]
@@ -147,7 +147,7 @@ class Subject:
         candidates : mapping of str to Asset
             In the units of the input.
         judging, progress
-            As in :func:`mi_simplify.report.compare_assets`.
+            As in :func:`mi_simplify.judging.compare_assets`.
         """
         if self.config.evaluation.light == "relit":
             return compare_assets(self.geometry, candidates, judging, progress)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mi_simplify.report.comparison import Comparison
+from mi_simplify.judging.comparison import Comparison
+from mi_simplify.judging.metrics import compare
+from mi_simplify.model.asset import Asset, Instance, Material, Part
 from mi_simplify.report.html import write_report
-from mi_simplify.report.metrics import compare
-from mi_simplify.scenes.asset import Asset, Instance, Material, Part
 
 RED, GREEN = [0.8, 0.05, 0.05, 1.0], [0.05, 0.6, 0.05, 1.0]
 

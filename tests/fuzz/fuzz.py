@@ -35,12 +35,12 @@ from seeds import Seed, seeds  # noqa: E402
 
 from mi_simplify.config import dump, load_config  # noqa: E402
 from mi_simplify.errors import UserError  # noqa: E402
-from mi_simplify.initial.cleanup import clean  # noqa: E402
-from mi_simplify.initial.decimate import decimate  # noqa: E402
+from mi_simplify.formats.load import load_asset  # noqa: E402
+from mi_simplify.formats.usd import layers as usd_layers  # noqa: E402
+from mi_simplify.initial.reduce.cleanup import clean  # noqa: E402
+from mi_simplify.initial.reduce.decimate import decimate  # noqa: E402
 from mi_simplify.initial.soup import merge  # noqa: E402
 from mi_simplify.machine.memory import limited  # noqa: E402
-from mi_simplify.scenes import usd_layers  # noqa: E402
-from mi_simplify.scenes.load import load_asset  # noqa: E402
 
 LONGEST = 10.0  # [s] for one input
 LARGEST = 2 << 30  # [bytes] that a worker may hold

@@ -5,7 +5,7 @@ Valid Mitsuba scenes, with a mesh, a texture and an included file beside them.
 from __future__ import annotations
 
 from seed import Seed
-from tiny_models import corner_pixels, png
+from support.tiny_models import corner_pixels, png
 
 _SHAPES = b"""<scene version="3.0.0">
   <default name="radius" value="0.5"/>

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 from scene_seeds import scene_seeds
 from seed import Seed
-from tiny_models import QUAD, QUAD_ST, Glb, corner_pixels, png
+from support.tiny_models import QUAD, QUAD_ST, Glb, corner_pixels, png
 from usd_seeds import usd_seeds
 
 ROOT = Path(__file__).resolve().parents[2]

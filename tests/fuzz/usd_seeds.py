@@ -11,7 +11,7 @@ from pathlib import Path
 
 import containers
 from seed import Seed
-from tiny_models import corner_pixels, png
+from support.tiny_models import corner_pixels, png
 
 _USDA = """#usda 1.0
 (

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mi_simplify.latent.mesh import Mesh
-from mi_simplify.latent.topology import weld
+from mi_simplify.model.mesh import Mesh
+from mi_simplify.model.topology import weld
 
 
 def _mesh(vertices: np.ndarray, uvs: np.ndarray, faces: np.ndarray) -> Mesh:

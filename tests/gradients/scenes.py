@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mi_simplify.latent.mesh import Mesh
-from mi_simplify.latent.topology import vertex_normals
+from mi_simplify.model.mesh import Mesh
+from mi_simplify.model.topology import vertex_normals
 from mi_simplify.scenes.views import Views, look_at
 
 from . import meshes

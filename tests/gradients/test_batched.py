@@ -9,7 +9,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mi_simplify.latent.mesh import Mesh
+from mi_simplify.model.mesh import Mesh
 
 from . import meshes, scenes
 from .batched import Batched

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mi_simplify.integrators.deferred import DeferredRenderer
-from mi_simplify.latent.model import Model
-from mi_simplify.scenes.path_traced import make_reference
+from mi_simplify.model.model import Model
+from mi_simplify.scenes.references.path_traced import make_reference
 
 from . import scenes
 from .batched import Batched

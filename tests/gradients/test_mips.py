@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mi_simplify.integrators.deferred import DeferredRenderer
-from mi_simplify.latent.mesh import Mesh
 from mi_simplify.latent.surface import MeshTopology
 from mi_simplify.latent.textures import Textures
 from mi_simplify.machine.upload import upload
+from mi_simplify.model.mesh import Mesh
 from mi_simplify.scenes.views import look_at
 
 from . import scenes

@@ -7,13 +7,13 @@ import pytest
 
 from mi_simplify.integrators.deferred import DeferredRenderer
 from mi_simplify.latent.latent import Latent
-from mi_simplify.latent.mesh import Mesh
-from mi_simplify.latent.model import Model
-from mi_simplify.latent.rigging import Rigging
 from mi_simplify.latent.surface import MeshTopology
 from mi_simplify.machine.upload import upload
-from mi_simplify.scenes.rig import deform, normal_matrices, turn
-from mi_simplify.scenes.samples import sample_asset
+from mi_simplify.model.mesh import Mesh
+from mi_simplify.model.model import Model
+from mi_simplify.model.rig import deform, normal_matrices, turn
+from mi_simplify.model.rigging import Rigging
+from mi_simplify.scenes.samples.catalogue import sample_asset
 from mi_simplify.scenes.views import Views, look_at
 
 FRAME = 6

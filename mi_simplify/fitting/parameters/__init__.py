@@ -1,0 +1,1 @@
+"""What is optimised, and the step that each of it takes."""

@@ -1,0 +1,1 @@
+"""Models in and out, one folder a format, its reader beside its writer."""

@@ -1,0 +1,1 @@
+"""Images with their cameras and lights: transforms.json."""

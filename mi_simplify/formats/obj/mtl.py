@@ -1,0 +1,169 @@
+"""
+Wavefront MTL material libraries as metallic-roughness materials.
+
+Read: ``Kd``, ``map_Kd``, ``d``, ``Tr``, ``map_d`` and the physically based extension ``Pr``, ``Pm``, ``map_Pr``,
+``map_Pm``, ``norm``. ``Ks`` and ``Ns`` are ignored (docs/conventions.md): the Phong lobe has no exact counterpart, and
+files carry them by habit. ``Kd`` is an sRGB colour, as three.js and most exporters to glTF take it, and a ``map_Kd``
+replaces it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...model.asset import Material
+from ..images import constant, is_normal_map, join_channels, opacity, rgb, srgb_to_linear, to_float, unit_normals
+from ..resources import MissingFile, Resources, read_bytes, shown
+
+#: Arguments that each option of a texture statement takes at most; numbers only for ``-o -s -t``.
+_OPTIONS = {
+    "-blendu": 1, "-blendv": 1, "-boost": 1, "-mm": 2, "-o": 3, "-s": 3, "-t": 3, "-texres": 1, "-clamp": 1, "-bm": 1,
+    "-imfchan": 1, "-type": 1, "-cc": 1,
+}  # fmt: skip
+
+#: Statements of the format that have no counterpart here and are worth a line where they say something.
+_LEFT_OUT = {"map_ke": "emission", "map_ks": "specular colour", "disp": "displacement", "decal": "decal"}
+
+
+def read_mtl(name: str, resources: Resources) -> dict[str, Material]:
+    """
+    Materials of a library by name; empty, with a note, where the library is missing.
+
+    Parameters
+    ----------
+    name : str
+        The argument of ``mtllib``: one file name, or several.
+
+    Raises
+    ------
+    AssetError
+        A texture is missing or cannot be read, or a file lies outside the model's folder.
+    """
+    paths = []
+    try:
+        paths = [resources.find(name, "material library")]
+    except MissingFile:
+        for part in name.split():
+            try:
+                paths.append(resources.find(part, "material library"))
+            except MissingFile:
+                resources.note(f"material library '{shown(part)}' does not exist; its materials are the default grey")
+    statements: dict[str, dict[str, str]] = {}
+    for path in paths:
+        current: dict[str, str] = {}
+        text = read_bytes(path, f"{resources.model.name}: material library").decode("utf-8", "replace")
+        for line in text.replace("\\\n", " ").splitlines():
+            words = line.split(None, 1)
+            key, value = (words + ["", ""])[:2]
+            key, value = key.lower(), value.strip()
+            if key == "newmtl":
+                current = statements.setdefault(value, {})
+            elif key and not key.startswith("#"):
+                current[key] = value
+    return {name: _material(name, values, resources) for name, values in statements.items()}
+
+
+def _material(name: str, values: dict[str, str], resources: Resources) -> Material:
+    color_map = _texture(values, "map_kd", resources)
+    numbers = _numbers(values.get("kd"))
+    if color_map is not None:
+        color = to_float(rgb(color_map), srgb=True)
+    elif numbers:
+        color = srgb_to_linear(np.clip(constant(*(numbers * 3)[:3] if len(numbers) < 3 else numbers[:3]), 0, 1))
+    else:
+        color = Material().base_color[..., :3]
+    alpha, mode = _opacity(name, values, resources)
+    roughness = _scalar(values, "pr", "map_pr", 0.5, resources)
+    metallic = _scalar(values, "pm", "map_pm", 0.0, resources)
+    for key, meaning in _LEFT_OUT.items():
+        if key in values:
+            resources.note(f"{meaning} texture of material '{name}' ({key}) was left out")
+    if any(_numbers(values.get("ke"))):
+        resources.note(f"emission of material '{name}' (Ke) was left out")
+    return Material(
+        name=name,
+        base_color=join_channels(color, alpha),
+        specular=join_channels(constant(0), roughness, metallic),
+        normal=_normal_map(name, values, resources),
+        alpha_mode=mode,
+    )
+
+
+def _opacity(name: str, values: dict[str, str], resources: Resources) -> tuple[np.ndarray, str]:
+    """Opacity, shape (H, W, 1), and the alpha mode."""
+    factor = 1.0
+    if tr := _numbers(values.get("tr")):
+        factor = 1 - tr[0]
+    if d := _numbers(values.get("d", "").replace("-halo", "")):
+        factor = d[0]
+    if factor <= 0:
+        # Some exporters mean the opposite of the specification; an invisible mesh is not what anyone sends.
+        resources.note(f"material '{name}' is fully transparent (d, Tr) and was taken as opaque")
+        factor = 1.0
+    image = _texture(values, "map_d", resources)
+    if image is None:
+        return constant(min(factor, 1.0)), "BLEND" if factor < 1 else "OPAQUE"
+    channel = opacity(image)
+    channel = image[..., :1] if channel is None else channel
+    alpha = to_float(channel, srgb=False)
+    is_cut_out = factor >= 1 and np.isin(alpha, (0, 1)).all()
+    return alpha * np.float32(min(factor, 1.0)), "MASK" if is_cut_out else "BLEND"
+
+
+def _scalar(values: dict[str, str], key: str, map_key: str, default: float, resources: Resources) -> np.ndarray:
+    image = _texture(values, map_key, resources)
+    if image is not None:
+        return np.clip(to_float(image[..., :1], srgb=False), 0, 1)
+    number = _numbers(values.get(key))
+    return constant(min(max(number[0], 0.0), 1.0) if number else default)
+
+
+def _normal_map(name: str, values: dict[str, str], resources: Resources) -> np.ndarray | None:
+    for key in ("norm", "map_kn"):
+        image = _texture(values, key, resources)
+        if image is not None:
+            return unit_normals(to_float(rgb(image), srgb=False) * 2 - 1)
+    for key in ("map_bump", "bump"):
+        image = _texture(values, key, resources)
+        if image is not None and is_normal_map(image):  # Blender and others write normal maps there
+            resources.note(f"{key} of material '{name}' holds a normal map and is used as one")
+            return unit_normals(to_float(rgb(image), srgb=False) * 2 - 1)
+        if image is not None:
+            resources.note(f"bump map of material '{name}' ({key}) was left out: it holds heights, not normals")
+    return None
+
+
+def _texture(values: dict[str, str], key: str, resources: Resources) -> np.ndarray | None:
+    """The decoded image of a texture statement, shape (H, W, C), or None."""
+    words = values.get(key, "").split(" ")
+    while words and (words[0] == "" or words[0].lower() in _OPTIONS):
+        if words[0] == "":
+            words.pop(0)
+            continue
+        option = words.pop(0).lower()
+        arguments: list[str] = []
+        while len(arguments) < _OPTIONS[option] and words and (_is_number(words[0]) or not arguments):
+            arguments.append(words.pop(0))
+        neutral = {"-o": 0.0, "-t": 0.0, "-s": 1.0, "-bm": 1.0}.get(option)
+        if neutral is not None and any(_is_number(a) and float(a) != neutral for a in arguments):
+            resources.note(f"option '{option} {' '.join(arguments)}' of {key} was left out")
+    uri = " ".join(words).strip().strip('"')
+    return resources.image(uri) if uri else None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(value: str | None) -> list[float]:
+    """Leading numbers of a statement's value; none where it is missing or of another form."""
+    out = []
+    for word in (value or "").split():
+        if not _is_number(word) or not np.isfinite(float(word)):
+            break
+        out.append(float(word))
+    return out

@@ -1,0 +1,105 @@
+"""
+Wavefront OBJ out: mesh, material library, and PNG textures beside it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ... import __version__
+from ...errors import MeshError
+from ...machine.files import side_file_stem, write_atomic
+from ...model.model import Model
+from ..textures import Textures, encode_textures, png
+
+
+def write_obj(model: Model, path: str | Path) -> Path:
+    """
+    Write a model as OBJ + MTL + PNG; v is flipped, as OBJ's uv origin is bottom left.
+
+    Positions stay welded (``v/vt/vn`` indices). The library uses the PBR keywords ``norm``,
+    ``map_Pr`` and ``map_Pm`` beside ``map_Kd``; opacity leaves as ``map_d`` (cut to 0 or 1 under
+    MASK). Gamma of dielectrics has no keyword and is lost.
+
+    Parameters
+    ----------
+    model : Model
+    path : str or Path
+        The ``.obj``, in an existing folder; the other files are named after it.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    MeshError
+        The mesh has no faces.
+    OutputError
+        A file cannot be written.
+    """
+    path = Path(path)
+    if not len(model.mesh.faces):
+        raise MeshError("nothing to export: the mesh has no faces")
+    stem = side_file_stem(path)
+    textures = encode_textures(model)
+    images = _images(model, textures)
+    for key, image in images.items():
+        write_atomic(path.with_name(f"{stem}_{key}.png"), png(image))
+    write_atomic(path.with_name(f"{stem}.mtl"), _library(stem, images, textures.emission_strength))
+    return write_atomic(path, _mesh(model, stem))  # last: what names the others
+
+
+def _images(model: Model, textures: Textures) -> dict[str, np.ndarray]:
+    """8-bit images by the ending of their file's name."""
+    images = {
+        "base_color": textures.base_color,
+        "normal": textures.normal,
+        "roughness": textures.orm[..., 1],
+        "metallic": textures.orm[..., 2],
+    }
+    if textures.emission is not None:
+        images["emission"] = textures.emission
+    opacity = textures.base_color[..., 3]
+    if model.alpha_mode == "MASK":
+        images["opacity"] = np.where(opacity >= model.alpha_cutoff * 255.0, 255, 0).astype(np.uint8)
+    elif model.alpha_mode == "BLEND":
+        images["opacity"] = opacity
+    return images
+
+
+def _library(stem: str, images: dict[str, np.ndarray], emission: float) -> str:
+    """The material library; factors are 1 so that readers which multiply and readers which replace agree."""
+    keywords = {"base_color": "map_Kd", "normal": "norm", "roughness": "map_Pr", "metallic": "map_Pm"}
+    keywords |= {"opacity": "map_d", "emission": "map_Ke"}
+    lines = [f"# mi_simplify {__version__}", f"newmtl {stem}", "Kd 1 1 1", "Pr 1", "Pm 1", "illum 2"]
+    if "emission" in images:
+        lines.append(f"Ke {emission:.6g} {emission:.6g} {emission:.6g}")
+    lines += [f"{keywords[key]} {stem}_{key}.png" for key in images]
+    return "\n".join(lines) + "\n"
+
+
+def _mesh(model: Model, stem: str) -> str:
+    """The mesh as text; nine digits carry a float32 exactly."""
+    mesh = model.mesh
+    normals = mesh.normals()
+    uvs = np.asarray(mesh.uvs, np.float64) * [1.0, -1.0] + [0.0, 1.0]
+    p, t, n = mesh.position_faces + 1, mesh.faces + 1, mesh.normal_groups[mesh.faces] + 1
+    corners = np.stack([p, t, n], axis=2)  # (F, 3, 3): v/vt/vn
+    return "".join(
+        [
+            f"# mi_simplify {__version__}\nmtllib {stem}.mtl\no {stem}\n",
+            _lines("v %.9g %.9g %.9g\n", mesh.positions),
+            _lines("vt %.9g %.9g\n", uvs),
+            _lines("vn %.7g %.7g %.7g\n", normals),
+            f"usemtl {stem}\n",
+            _lines("f %d/%d/%d %d/%d/%d %d/%d/%d\n", corners.reshape(len(corners), 9)),
+        ]
+    )
+
+
+def _lines(pattern: str, rows: np.ndarray) -> str:
+    """One line of text per row, formatted in one go."""
+    return pattern * len(rows) % tuple(rows.ravel().tolist())

@@ -1,0 +1,1 @@
+"""USD layers and packages."""

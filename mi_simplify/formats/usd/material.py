@@ -1,0 +1,236 @@
+"""
+USD materials: UsdPreviewSurface with its texture, primvar and transform nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Ar, Sdf, Usd, UsdShade
+
+from ...errors import AssetError
+from ...model.asset import Material
+from ..images import constant, join_channels, opacity, rgb, to_float, unit_normals
+from ..mapping import Mapping
+from ..resources import Resources
+
+_DEFAULTS = {"diffuseColor": (0.18, 0.18, 0.18), "roughness": 0.5, "metallic": 0.0, "opacity": 1.0}
+_CHANNELS = {"r": [0], "g": [1], "b": [2], "a": [3], "rgb": [0, 1, 2], "rgba": [0, 1, 2]}
+
+
+def bound_material(prim: Usd.Prim) -> UsdShade.Material | None:
+    """
+    What a prim looks like in a preview, else in a full render; None where nothing is bound.
+    """
+    for purpose in ("preview", "full"):
+        material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial(purpose)[0]
+        if material:
+            return material
+    return None
+
+
+def material_path(material: UsdShade.Material | None) -> str:
+    """
+    A name that all instances of a material share; empty for None.
+    """
+    if material is None:
+        return ""
+    prim = material.GetPrim()
+    return str((prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath())
+
+
+def read_usd_material(material: UsdShade.Material, resources: Resources) -> tuple[Material, Mapping | None, str | None]:
+    """
+    A UsdPreviewSurface as a material.
+
+    Returns
+    -------
+    material : Material
+        The default where the prim has no UsdPreviewSurface, with a note.
+    mapping : Mapping or None
+        Where its textures are looked up, in USD's coordinates (origin bottom left); None without textures.
+    color_primvar : str or None
+        The primvar that the diffuse colour is read from; the base colour is white then.
+    """
+    name = material.GetPrim().GetName()
+    shader = material.ComputeSurfaceSource()[0]
+    if not shader or shader.GetShaderId() != "UsdPreviewSurface":
+        kind = f"'{shader.GetShaderId()}'" if shader else "none that this build of USD can read"
+        resources.note(f"material '{name}' has no UsdPreviewSurface (its surface is {kind}); the default grey is used")
+        return Material(), None, None
+    reader = _Reader(shader, name, resources)
+    return reader.read(), reader.mapping, reader.color_primvar
+
+
+class _Reader:
+    def __init__(self, shader: UsdShade.Shader, name: str, resources: Resources):
+        self.shader, self.name, self.resources = shader, name, resources
+        self.mapping: Mapping | None = None
+        self.color_primvar: str | None = None
+
+    def read(self) -> Material:
+        color = self._value("diffuseColor", color=True)
+        alpha = self._value("opacity")
+        roughness, metallic = self._value("roughness"), self._value("metallic")
+        if _plain(self.shader, "useSpecularWorkflow", 0):
+            self._note("specular workflow", "its specular colour was left out")
+            metallic = constant(0)
+        threshold = float(_plain(self.shader, "opacityThreshold", 0.0))
+        mode = "MASK" if threshold > 0 else "BLEND" if alpha.size > 1 or alpha.max() < 1 else "OPAQUE"
+        for key, neutral in (("emissiveColor", 0), ("clearcoat", 0), ("displacement", 0)):
+            source = _source(self.shader, key)
+            value = _plain(self.shader, key, neutral)
+            if source is not None or (value is not None and np.any(np.asarray(value, float) != neutral)):
+                self._note(key, "was left out")
+        return Material(
+            name=self.name,
+            base_color=np.clip(join_channels(color, alpha), 0, 1),
+            specular=np.clip(join_channels(constant(0), roughness, metallic), 0, 1),
+            normal=self._normal(),
+            alpha_mode=mode,
+            alpha_cutoff=threshold if threshold > 0 else 0.5,
+        )
+
+    def _value(self, key: str, color: bool = False) -> np.ndarray:
+        """An input as a linear image, shape (H, W, 3) for colours, else (H, W, 1)."""
+        source = _source(self.shader, key)
+        if source is None:
+            return constant(*np.atleast_1d(np.asarray(_plain(self.shader, key, _DEFAULTS[key]), np.float32)))
+        shader, output = source
+        kind = shader.GetShaderId()
+        if kind == "UsdUVTexture":
+            found = self._texture(shader, key, is_color=color)
+            if found is None:
+                return constant(*np.atleast_1d(np.array(_DEFAULTS[key], np.float32)))
+            channels = found[..., _CHANNELS.get(output, [0])]
+            return rgb(channels) if color else channels[..., :1]
+        if kind in ("UsdPrimvarReader_float3", "UsdPrimvarReader_float4", "UsdPrimvarReader_vector") and color:
+            self.color_primvar = str(_plain(shader, "varname", "displayColor"))
+            return constant(1, 1, 1)
+        self._note(key, f"comes from '{kind}', which is not supported; its default is used")
+        return constant(*np.atleast_1d(np.array(_DEFAULTS[key], np.float32)))
+
+    def _normal(self) -> np.ndarray | None:
+        source = _source(self.shader, "normal")
+        if source is None:
+            return None
+        shader, _ = source
+        if shader.GetShaderId() != "UsdUVTexture":
+            self._note("normal", f"comes from '{shader.GetShaderId()}', which is not supported; it was left out")
+            return None
+        unscaled = _plain(shader, "scale", None) is None and _plain(shader, "bias", None) is None
+        vectors = self._texture(shader, "normal", is_color=False)
+        if vectors is None:
+            return None
+        vectors = vectors[..., :3]
+        if unscaled and vectors.min() >= 0:
+            self._note("normal", "has neither scale nor bias; 2 and -1 were taken")
+            vectors = vectors * 2 - 1
+        return unit_normals(vectors)
+
+    def _texture(self, shader: UsdShade.Shader, key: str, is_color: bool) -> np.ndarray | None:
+        """
+        A texture with scale and bias, linear, shape (H, W, 4); None where its coordinates are not the first texture's.
+        """
+        mapping = self._mapping(shader)
+        if self.mapping is None:
+            self.mapping = mapping
+        elif not mapping.same_place(self.mapping):
+            self._note(key, "was left out: its texture coordinates are not the first texture's")
+            return None
+        pixels = self._pixels(shader, key)
+        space = str(_plain(shader, "sourceColorSpace", "auto"))
+        # 'auto' means sRGB for 8 bits and three channels; files that leave it on a data texture never mean that.
+        srgb = space == "sRGB" or (space == "auto" and is_color and pixels.dtype == np.uint8 and pixels.shape[2] >= 3)
+        values = to_float(pixels, srgb=srgb)
+        alpha = opacity(values)
+        values = join_channels(rgb(values), constant(1) if alpha is None else alpha)
+        scale, bias = _plain(shader, "scale", (1, 1, 1, 1)), _plain(shader, "bias", (0, 0, 0, 0))
+        if tuple(scale) != (1, 1, 1, 1) or tuple(bias) != (0, 0, 0, 0):
+            values = values * np.array(tuple(scale), np.float32) + np.array(tuple(bias), np.float32)
+        return values
+
+    def _pixels(self, shader: UsdShade.Shader, key: str) -> np.ndarray:
+        asset = _plain(shader, "file", None)
+        model = self.resources.model.name
+        if not isinstance(asset, Sdf.AssetPath) or not asset.path:
+            raise AssetError(f"{model}: the texture of '{key}' of material '{self.name}' names no file")
+        if "<UDIM>" in asset.path:
+            raise AssetError(f"{model}: texture '{asset.path}' is a set of UDIM tiles; merge them into one image first")
+        resolved = asset.resolvedPath
+        opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(resolved)) if resolved else None
+        if not opened:
+            raise AssetError(f"{model}: texture '{asset.path}' does not exist; put it where the file looks for it")
+        if not self.resources.holds(Path(Ar.SplitPackageRelativePathOuter(resolved)[0])):
+            raise self.resources.outside(asset.path, "texture")
+        with opened:
+            return self.resources.embedded_image(("usd", resolved), _reader_of(opened), asset.path)
+
+    def _mapping(self, shader: UsdShade.Shader) -> Mapping:
+        transform = None
+        source = _source(shader, "st")
+        while source is not None and source[0].GetShaderId() == "UsdTransform2d":
+            node = source[0]
+            angle = np.radians(float(_plain(node, "rotation", 0.0)))
+            (su, sv), (tu, tv) = _plain(node, "scale", (1, 1)), _plain(node, "translation", (0, 0))
+            c, s = np.cos(angle), np.sin(angle)
+            step = np.array([[c * su, -s * sv, tu], [s * su, c * sv, tv], [0, 0, 1]])
+            # The node nearest to the texture acts last.
+            transform = step if transform is None else transform @ step
+            source = _source(node, "in")
+        varname = "st"
+        if source is not None and source[0].GetShaderId() == "UsdPrimvarReader_float2":
+            varname = str(_plain(source[0], "varname", "st"))
+        wraps = _wrap(shader, "wrapS"), _wrap(shader, "wrapT")
+        return Mapping(varname, None if transform is None else transform[:2], wraps)
+
+    def _note(self, what: str, line: str) -> None:
+        self.resources.note(f"'{what}' of material '{self.name}' {line}")
+
+
+def _reader_of(opened: Any) -> Callable[[], bytes]:
+    return lambda: bytes(opened.GetBuffer())
+
+
+def _wrap(shader: UsdShade.Shader, key: str) -> str:
+    found = str(_plain(shader, key, "repeat"))
+    return found if found in ("mirror", "clamp", "black") else "repeat"
+
+
+def _attributes(shader: UsdShade.Shader, key: str) -> list:
+    found = shader.GetInput(key)
+    return found.GetValueProducingAttributes() if found else []
+
+
+def _source(shader: UsdShade.Shader, key: str) -> tuple[UsdShade.Shader, str] | None:
+    """The node and output that feed an input, through any node graphs; None for a plain value."""
+    for attribute in _attributes(shader, key):
+        if UsdShade.Output.IsOutput(attribute):
+            return UsdShade.Shader(attribute.GetPrim()), UsdShade.Output(attribute).GetBaseName()
+    return None
+
+
+def _plain(shader: UsdShade.Shader, key: str, default: object) -> Any:
+    """The value of an input that no node feeds, or the default."""
+    for attribute in _attributes(shader, key):
+        if not UsdShade.Output.IsOutput(attribute):
+            value = attribute.Get()
+            return default if value is None else value
+    return default
+
+
+def display_material(color: np.ndarray | None, alpha: np.ndarray | None) -> Material:
+    """
+    The material of a mesh without one, from its constant ``displayColor`` and ``displayOpacity`` (linear), if any.
+    """
+    if color is None and alpha is None:
+        return Material()
+    base = Material().base_color.copy()
+    if color is not None:
+        base[..., :3] = np.clip(color, 0, 1)
+    if alpha is not None:
+        base[..., 3] = np.clip(alpha, 0, 1)
+    return Material("displayColor", base_color=base, alpha_mode="BLEND" if base[..., 3].min() < 1 else "OPAQUE")

@@ -1,0 +1,198 @@
+"""
+Meshes of a USD stage: polygons, primvars and bound materials as parts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from pxr import Usd, UsdGeom, UsdShade, UsdSkel
+
+from ...errors import MeshError
+from ...machine import memory
+from ...model.asset import FEWER_INSTANCES, PER_CORNER, Material, Part
+from ...model.rig import Skin
+from ..mapping import Mapping
+from ..polygons import fan, smooth_normals, split_corners, unique_rows
+from ..resources import Resources
+from ..validate import check_indices
+from .material import bound_material, display_material, material_path, read_usd_material
+from .skeleton import Skeletons
+from .values import TIME, array
+
+_UV_NAMES = ("st", "st0", "st_0", "UVMap", "uv", "uvs", "map1", "UVW", "Texture_uv")
+
+
+class Meshes:
+    """
+    The meshes of a stage; each of their materials is read once.
+
+    Parameters
+    ----------
+    resources : Resources
+        Takes the notes.
+    skeletons : Skeletons
+    """
+
+    def __init__(self, resources: Resources, skeletons: Skeletons):
+        self.resources, self._skeletons = resources, skeletons
+        self._materials: dict[str, tuple[Material, Mapping | None, str | None]] = {}
+
+    def parts(self, prim: Usd.Prim, query: UsdSkel.SkinningQuery | None = None) -> list[Part]:
+        """
+        A mesh as parts, one for each of its materials; skinned where ``query`` says how.
+
+        Raises
+        ------
+        MeshError
+            Face counts and indices that do not fit together.
+        """
+        mesh, name, model = UsdGeom.Mesh(prim), prim.GetName(), self.resources.model.name
+        points = array(mesh.GetPointsAttr().Get(TIME), np.float64, 3)
+        counts = array(mesh.GetFaceVertexCountsAttr().Get(TIME), np.int64)
+        index = array(mesh.GetFaceVertexIndicesAttr().Get(TIME), np.int64)
+        if not len(counts) or not len(points):
+            self.resources.note(f"'{prim.GetPath()}' was left out: it has no faces")
+            return []
+        if counts.min() < 0 or counts.sum() != len(index):
+            raise MeshError(
+                f"{model}: the faces of part '{name}' ask for {counts.sum()} indices, there are {len(index)}"
+            )
+        memory.require(PER_CORNER * len(index), f"{model}: '{name}' of {len(index):,} corners", FEWER_INSTANCES)
+        check_indices(index, len(points), model, name)
+        if mesh.GetSubdivisionSchemeAttr().Get() not in (None, "none"):
+            scheme = mesh.GetSubdivisionSchemeAttr().Get()
+            self.resources.note(f"'{name}' is a {scheme} surface; its control cage is used without subdivision")
+        corners, polygon = fan(counts)
+        holes = array(mesh.GetHoleIndicesAttr().Get(TIME), np.int64)
+        if len(holes):
+            keep = ~np.isin(polygon, holes)
+            corners, polygon = corners[keep], polygon[keep]
+        if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
+            corners = corners[:, ::-1]
+
+        owner, materials = self._owners(prim, len(counts))
+        groups = [(m, corners[owner[polygon] == k]) for k, m in enumerate(materials)]
+        groups = [(m, c) for m, c in groups if len(c)]
+        reader = _Corners(prim, index, np.repeat(np.arange(len(counts)), counts), len(points), self.resources)
+        normals = reader.normals(mesh)
+        if normals is None and len(groups) > 1:
+            normals = smooth_normals(points, index[corners]), index
+        skin = None if query is None else self._skeletons.skin(prim, query, points)
+        parts = [self._part(name, m, c, points, index, normals, reader, skin) for m, c in groups]
+        return parts if len(parts) == 1 else [replace(p, name=f"{name}_{k}") for k, p in enumerate(parts)]
+
+    def _part(self, name, bound, corners, points, index, normals, reader, skin: Skin | None) -> Part:
+        """Corners, shape (F, 3), of one material as a part."""
+        material, mapping, color_primvar = self._material(bound)
+        flat = corners.reshape(-1)
+        color_rows = None
+        if bound is None:
+            color, alpha = reader.primvar("displayColor", 3), reader.primvar("displayOpacity", 1)
+            material, color_rows = _displayed(color, alpha)
+        elif color_primvar:
+            color_rows = reader.primvar(color_primvar, 3)
+        attributes = [normals, reader.uvs(mapping), color_rows]
+        first, vertex = split_corners(index[flat], *(a[1][flat] for a in attributes if a is not None))
+        chosen = flat[first]
+        of_vertex = [None if a is None else a[0][a[1][chosen]] for a in attributes]
+        uvs, colors = of_vertex[1:]
+        if uvs is not None:
+            if mapping is not None:
+                uvs = mapping.apply(uvs, name, self.resources)
+            uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1)
+        elif mapping is not None:
+            self.resources.note(f"'{name}' has textures but no primvar '{mapping.set}'; they show one texel")
+        if colors is not None and colors.shape[1] == 3:
+            colors = np.concatenate([colors, np.ones((len(colors), 1))], axis=1)
+        skin = None if skin is None else skin.taken(index[chosen])
+        return Part(points[index[chosen]], vertex.reshape(-1, 3), of_vertex[0], uvs, colors, material, name, skin)
+
+    def _owners(self, prim: Usd.Prim, n_faces: int) -> tuple[np.ndarray, list]:
+        """The material of every face as an index into a list of bound materials, None where there is none."""
+        materials = [bound_material(prim)]
+        owner = np.zeros(n_faces, np.int64)
+        for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
+            faces = array(subset.GetIndicesAttr().Get(TIME), np.int64)
+            check_indices(faces, n_faces, self.resources.model.name, subset.GetPrim().GetName(), "face")
+            owner[faces] = len(materials)
+            materials.append(bound_material(subset.GetPrim()))
+        return owner, materials
+
+    def _material(self, bound: UsdShade.Material | None) -> tuple[Material, Mapping | None, str | None]:
+        if bound is None:
+            return Material(), None, None
+        key = material_path(bound)
+        if key not in self._materials:
+            self._materials[key] = read_usd_material(bound, self.resources)
+        return self._materials[key]
+
+
+class _Corners:
+    """
+    Primvars of a mesh as pairs: values, shape (N, C), and a row of them for every corner, shape (corners,).
+    """
+
+    def __init__(self, prim: Usd.Prim, index: np.ndarray, polygon: np.ndarray, n_points: int, resources: Resources):
+        self.prim, self.index, self.polygon, self.n_points = prim, index, polygon, n_points
+        self.resources = resources
+
+    def primvar(self, name: str, width: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """A primvar of the mesh or inherited from above it."""
+        primvar = UsdGeom.PrimvarsAPI(self.prim).FindPrimvarWithInheritance(name)
+        if not primvar or not primvar.HasValue():
+            return None
+        values = array(primvar.Get(TIME), np.float64, width)
+        indices = array(primvar.GetIndices(TIME), np.int64) if primvar.IsIndexed() else None
+        return self._rows(name, values, primvar.GetInterpolation(), indices)
+
+    def normals(self, mesh: UsdGeom.Mesh) -> tuple[np.ndarray, np.ndarray] | None:
+        """``primvars:normals``, else ``normals``."""
+        found = self.primvar("normals", 3)
+        attribute = mesh.GetNormalsAttr()
+        if found is not None or not attribute.HasValue():
+            return found
+        values = array(attribute.Get(TIME), np.float64, 3)
+        return self._rows("normals", values, mesh.GetNormalsInterpolation(), None) if len(values) else None
+
+    def uvs(self, mapping: Mapping | None) -> tuple[np.ndarray, np.ndarray] | None:
+        """The texture coordinates that a material names; without one the usual name, or the only ones."""
+        if mapping is not None:
+            return self.primvar(str(mapping.set), 2)
+        primvars = UsdGeom.PrimvarsAPI(self.prim).GetPrimvarsWithValues()
+        kinds = ("2f[]", "2h[]", "2d[]", "float2[]")
+        two = [p.GetPrimvarName() for p in primvars if str(p.GetTypeName()).endswith(kinds)]
+        name = next((n for n in _UV_NAMES if n in two), two[0] if two else None)
+        return self.primvar(name, 2) if name else None
+
+    def _rows(self, name, values, interpolation, indices) -> tuple[np.ndarray, np.ndarray] | None:
+        rows = {
+            "constant": lambda: np.zeros(len(self.index), np.int64),
+            "uniform": lambda: self.polygon,
+            "vertex": lambda: self.index,
+            "varying": lambda: self.index,
+            "faceVarying": lambda: np.arange(len(self.index)),
+        }[interpolation]()
+        n = len(values) if indices is None else len(indices)
+        if len(rows) and rows.max() >= n:
+            self.resources.note(
+                f"'{name}' of '{self.prim.GetName()}' was left out: its {n} values are too few for '{interpolation}'"
+            )
+            return None
+        if indices is not None:
+            check_indices(indices, len(values), self.resources.model.name, self.prim.GetName(), f"value of '{name}'")
+            return values, indices[rows]
+        if interpolation in ("faceVarying", "uniform"):  # equal values need not split a vertex
+            values, index = unique_rows(values)
+            rows = index[rows]
+        return values, rows
+
+
+def _displayed(color, alpha) -> tuple[Material, tuple[np.ndarray, np.ndarray] | None]:
+    """Material and vertex colours of a mesh that has ``displayColor`` and ``displayOpacity`` instead of a material."""
+    constant_color = None if color is None or len(color[0]) > 1 else color[0][0]
+    constant_alpha = None if alpha is None or len(alpha[0]) > 1 else alpha[0][0, 0]
+    if color is None or constant_color is not None:
+        return display_material(constant_color, constant_alpha), None
+    return display_material(np.ones(3), constant_alpha), color

@@ -1,0 +1,150 @@
+"""
+USD out: a mesh with a UsdPreviewSurface material, and PNG textures beside it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+
+from ... import __version__
+from ...errors import MeshError
+from ...machine.files import side_file_stem, write_atomic
+from ...model.model import Model
+from ..textures import encode_textures, png
+from .write_skeleton import bind_skeleton
+
+
+def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> Path:
+    """
+    Write a model as USD + PNG: welded mesh, indexed face-varying ``st`` with v up, +Y up; a character as UsdSkel.
+
+    UsdPreviewSurface has no textured dielectric specular, so gamma of dielectrics is lost.
+
+    Parameters
+    ----------
+    model : Model
+    path : str or Path
+        ``.usdc``, ``.usda`` or ``.usd``, in an existing folder; textures are named after it.
+    extras : dict, optional
+        Strings and numbers for the layer's ``customLayerData``.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    MeshError
+        The mesh has no faces.
+    OutputError
+        A file cannot be written.
+    """
+    path = Path(path)
+    if not len(model.mesh.faces):
+        raise MeshError("nothing to export: the mesh has no faces")
+    stem = side_file_stem(path)
+    textures = encode_textures(model)
+    emission = None if textures.emission is None else textures.emission_strength
+    for key in ("base_color", "orm", "normal", *(() if emission is None else ("emission",))):
+        write_atomic(path.with_name(f"{stem}_{key}.png"), png(getattr(textures, key)))
+
+    stage = Usd.Stage.CreateInMemory()
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    layer = stage.GetRootLayer()
+    layer.customLayerData = {"creator": f"mi_simplify {__version__}", **(extras or {})}
+    kind = UsdGeom.Xform if model.skin is None else UsdSkel.Root
+    root = kind.Define(stage, "/" + Tf.MakeValidIdentifier(model.name or "model"))
+    stage.SetDefaultPrim(root.GetPrim())
+    Usd.ModelAPI(root).SetKind("component")
+    mesh = _mesh(stage, root.GetPath().AppendChild("mesh"), model)
+    material = _material(stage, root.GetPath().AppendChild("material"), model, stem, emission)
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    if model.skin is not None:
+        bind_skeleton(stage, root, mesh, model.mesh, model.skin)
+
+    def export(temporary: Path) -> None:
+        try:
+            done = layer.Export(str(temporary))
+        except Tf.ErrorException as error:
+            raise OSError(0, "USD could not write the file") from error
+        if not done:
+            raise OSError(0, "USD could not write the file")
+
+    return write_atomic(path, export)
+
+
+def _mesh(stage: Usd.Stage, path: Sdf.Path, model: Model) -> UsdGeom.Mesh:
+    """Points over welded positions, normals over corners, texture coordinates over vertices."""
+    source = model.mesh
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    points = source.positions.astype(np.float32)
+    normals = source.normals().astype(np.float32)[source.normal_groups][source.faces].reshape(-1, 3)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(points))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(source.faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(source.position_faces.ravel().astype(np.int32)))
+    mesh.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(normals))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.faceVarying)
+    mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+    mesh.CreateDoubleSidedAttr(True)
+    uvs = (np.asarray(source.uvs, np.float64) * [1.0, -1.0] + [0.0, 1.0]).astype(np.float32)
+    st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
+    st.Set(Vt.Vec2fArray.FromNumpy(uvs))
+    st.SetIndices(Vt.IntArray.FromNumpy(source.faces.ravel().astype(np.int32)))
+    return mesh
+
+
+def _material(stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str, emission: float | None) -> UsdShade.Material:
+    """Metallic-roughness UsdPreviewSurface, one texture reader per file."""
+    material = UsdShade.Material.Define(stage, path)
+    surface = _shader(stage, path, "surface", "UsdPreviewSurface")
+    surface.CreateInput("useSpecularWorkflow", Sdf.ValueTypeNames.Int).Set(0)
+    reader = _shader(stage, path, "st", "UsdPrimvarReader_float2")
+    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+    coordinates = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+
+    def texture(key: str, color_space: str) -> UsdShade.Shader:
+        shader = _shader(stage, path, key, "UsdUVTexture")
+        shader.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./{stem}_{key}.png"))
+        shader.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set(color_space)
+        shader.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(coordinates)
+        for axis in ("wrapS", "wrapT"):
+            shader.CreateInput(axis, Sdf.ValueTypeNames.Token).Set("repeat")
+        return shader
+
+    def connect(name: str, kind: Sdf.ValueTypeName, shader: UsdShade.Shader, output: str) -> None:
+        out = shader.CreateOutput(output, Sdf.ValueTypeNames.Float if len(output) == 1 else Sdf.ValueTypeNames.Float3)
+        surface.CreateInput(name, kind).ConnectToSource(out)
+
+    base = texture("base_color", "sRGB")
+    connect("diffuseColor", Sdf.ValueTypeNames.Color3f, base, "rgb")
+    orm = texture("orm", "raw")
+    connect("roughness", Sdf.ValueTypeNames.Float, orm, "g")
+    connect("metallic", Sdf.ValueTypeNames.Float, orm, "b")
+    normal = texture("normal", "raw")
+    normal.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(2, 2, 2, 1))  # [0, 1] to [-1, 1]
+    normal.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
+    connect("normal", Sdf.ValueTypeNames.Normal3f, normal, "rgb")
+    if emission is not None:
+        glow = texture("emission", "sRGB")
+        glow.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(emission, emission, emission, 1))
+        connect("emissiveColor", Sdf.ValueTypeNames.Color3f, glow, "rgb")
+    if model.alpha_mode != "OPAQUE":
+        connect("opacity", Sdf.ValueTypeNames.Float, base, "a")
+    if model.alpha_mode == "MASK":
+        surface.CreateInput("opacityThreshold", Sdf.ValueTypeNames.Float).Set(float(model.alpha_cutoff))
+    surface_output = surface.CreateOutput("surface", Sdf.ValueTypeNames.Token)
+    material.CreateSurfaceOutput().ConnectToSource(surface_output)
+    return material
+
+
+def _shader(stage: Usd.Stage, parent: Sdf.Path, name: str, identifier: str) -> UsdShade.Shader:
+    """A shader of a known type under the material."""
+    shader = UsdShade.Shader.Define(stage, parent.AppendChild(name))
+    shader.CreateIdAttr(identifier)
+    return shader

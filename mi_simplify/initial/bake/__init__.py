@@ -1,0 +1,1 @@
+"""Textures read off the detailed surface."""

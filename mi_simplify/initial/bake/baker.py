@@ -1,0 +1,152 @@
+"""
+Ray-cast baker: what a detailed asset looks like, written into the textures of a low-poly mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ...errors import MeshError
+from ...machine.runtime import ensure_variant
+from ...machine.upload import upload
+from ...model.asset import Asset
+from ...model.mesh import Mesh
+from ..closest import ClosestPoints, sample_surface
+from ..reduce.cleanup import clean
+from ..soup import merge
+from ..unwrap.atlas import dilate
+
+
+@dataclass(frozen=True)
+class Baked:
+    """
+    Textures of one low-poly mesh, every texel filled.
+
+    Parameters
+    ----------
+    base_color : ndarray, shape (H, W, 4), float32
+        Linear RGB and opacity.
+    specular : ndarray, shape (H, W, 3), float32
+        (gamma, roughness, metallic), linear.
+    normal : ndarray, shape (H, W, 3), float32
+        Unit vectors in the mesh's MikkTSpace frame, +Y up the image.
+    height : ndarray, shape (H, W, 1), float32
+        Signed distance to the reference along the smooth normal [world units].
+    covered : ndarray, shape (H, W), bool
+        Texels that a triangle touches; the others repeat the nearest of them.
+    missed : float
+        Share of the samples whose ray met nothing suitable; they took the closest point of the reference.
+    """
+
+    base_color: np.ndarray
+    specular: np.ndarray
+    normal: np.ndarray
+    height: np.ndarray
+    covered: np.ndarray
+    missed: float
+
+
+def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach: float | None = None) -> Baked:
+    """
+    Look from every texel along the smooth normal, both ways, and write down the closest surface that faces alike.
+
+    Parameters
+    ----------
+    asset : Asset
+        The reference, in the frame of ``mesh``; all its materials are read.
+    mesh : Mesh
+        The low-poly mesh; UVs without overlap.
+    size : int
+        Side of the textures [texels].
+    samples : int
+        ``samples``² points to a texel, averaged.
+    reach : float, optional
+        How far to look either way [world units]; by default from the distance of the two surfaces nearby.
+
+    Raises
+    ------
+    MeshError
+        The UVs of ``mesh`` cover no texel.
+    """
+    ensure_variant()
+    from .decals import seen
+    from .lookup import NO_FACE, Detail, LowPoly  # their classes need a variant
+
+    soup, _ = clean(merge(asset))
+    closest = ClosestPoints(soup.vertices, soup.faces)
+    low = LowPoly(mesh, reaches(mesh, closest, soup.diagonal) if reach is None else np.full(len(mesh.positions), reach))
+    detail = Detail(soup)
+
+    total = [mi.Float(0)] * 15
+    n_missed = 0
+    for k in range(samples * samples):
+        points = low.points(size, ((k % samples + 0.5) / samples, (k // samples + 0.5) / samples))
+        hits = detail.search(points)
+        dr.eval(points, hits)
+        lost = dr.compress(points.active & (hits.face == NO_FACE))
+        if len(lost):
+            n_missed += len(lost)
+            p, n = (dr.gather(type(x), x, lost).numpy().T for x in (points.p, points.ray))
+            found = closest.query(p, n, candidates=4)
+            dr.scatter(hits.face, upload(mi.UInt32, found.face), lost)
+            dr.scatter(hits.b, upload(mi.Point2f, found.barycentric[:, 1:]), lost)
+        hits.face = dr.select(hits.face == NO_FACE, 0, hits.face)
+        dr.eval(hits)
+        values = [*seen(detail, points, hits), dr.select(points.active, mi.Float(1), 0)]
+        total = [a + b for a, b in zip(total, values, strict=True)]
+        dr.eval(total)
+    sums = np.stack([x.numpy() for x in total], 1).reshape(size, size, 15)
+    if not sums[..., 14].any():
+        raise MeshError("the low-poly mesh covers no texel; it needs texture coordinates")
+    return _finish(sums, n_missed / sums[..., 14].sum())
+
+
+def _finish(sums: np.ndarray, missed: float) -> Baked:
+    """Averages of the sums of :meth:`Detail.shade` and their count; the background filled."""
+    count = sums[..., 14:]
+    covered = count[..., 0] > 0
+    mean = sums[..., :14] / np.maximum(count, 1)
+    opacity = mean[..., 6:7]
+    rgb = np.where(opacity > 1e-3, mean[..., :3] / np.maximum(opacity, 1e-3), mean[..., 3:6])
+    normal = mean[..., 10:13] / np.maximum(np.linalg.norm(mean[..., 10:13], axis=2, keepdims=True), 1e-6)
+    images = [np.concatenate([rgb, opacity], 2), mean[..., 7:10], normal, mean[..., 13:14]]
+    base_color, specular, normal, height = dilate([x.astype(np.float32) for x in images], covered)
+    return Baked(base_color, specular, normal, height, covered, float(missed))
+
+
+def reaches(mesh: Mesh, closest: ClosestPoints, diagonal: float) -> np.ndarray:
+    """
+    How far a ray must look at every position of a low-poly mesh: a multiple of the gap to the reference around it.
+
+    Both gaps count, from the mesh to the reference and back: the second knows how far its relief stands out.
+
+    Returns
+    -------
+    ndarray, shape (P,)
+        [world units], at least a thousandth of ``diagonal``.
+    """
+    own = ClosestPoints(mesh.positions, mesh.position_faces, n_samples=50_000)
+    area = np.linalg.norm(np.cross(*(own.corners[:, k] - own.corners[:, 0] for k in (1, 2))), axis=1)
+    points, face = sample_surface(own.corners, area, 20_000, seed=1)
+    gap = np.zeros(len(own.corners))
+    np.maximum.at(gap, face, closest.query(points, own.normals[face], candidates=4).distance)
+
+    area = np.linalg.norm(np.cross(*(closest.corners[:, k] - closest.corners[:, 0] for k in (1, 2))), axis=1)
+    n_wanted = min(50_000, max(len(area) // 2, 1))
+    points, face = sample_surface(closest.corners, area, n_wanted, seed=2)
+    if len(points) > 2 * n_wanted:  # one centre per triangle is more than enough of a dense mesh
+        points, face = points[-n_wanted:], face[-n_wanted:]
+    back = own.query(points, closest.normals[face], candidates=4)
+    seen = np.einsum("ni,ni->n", own.normals[back.face], closest.normals[face]) > 0
+    np.maximum.at(gap, back.face[seen], np.minimum(back.distance[seen], 0.05 * diagonal))
+
+    out = np.zeros(len(mesh.positions))
+    faces = mesh.position_faces
+    for _ in range(2):  # the neighbours' too, so that rays do not end at an edge
+        np.maximum.at(out, faces, gap[:, None])
+        gap = out[faces].max(1)
+    return 1.5 * out + 1e-3 * diagonal

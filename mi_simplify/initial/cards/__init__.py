@@ -1,0 +1,1 @@
+"""Foliage as textured cards."""

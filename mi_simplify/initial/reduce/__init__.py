@@ -1,0 +1,1 @@
+"""Fewer triangles: clean-up, decimation, what is seen, skinning weights."""

@@ -1,0 +1,256 @@
+"""
+The project's own judge: path traces reference and candidates from views that no fit has seen.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .. import __version__
+from ..config import Config
+from ..errors import AssetError
+from ..machine.files import make_folder
+from ..model.asset import Asset
+from ..progress import Progress, ProgressCallback, silent
+from .comparison import Comparison, save_comparison
+from .metrics import COVERED, compare
+
+if TYPE_CHECKING:  # importing it would need a Mitsuba variant
+    from ..scenes.references.reference import Reference
+    from ..scenes.views import Views
+
+log = logging.getLogger("mi_simplify")
+
+SKY = 0.1
+"""Radiance of the constant sky beside the point light."""
+
+MAX_DEPTH = 6
+"""Longest light path [edges]."""
+
+
+@dataclass(frozen=True)
+class Judging:
+    """
+    How closely is looked.
+
+    Parameters
+    ----------
+    n_views, resolution, spp : int
+        How many square images of how many pixels and samples per pixel.
+    seed : int
+        Of views and noise, which depend on nothing else; only figures of one seed compare.
+    """
+
+    n_views: int = 8
+    resolution: int = 256
+    spp: int = 64
+    seed: int = 0
+
+    @staticmethod
+    def of(config: Config) -> Judging:
+        """
+        What a job's configuration asks for.
+        """
+        judged = config.evaluation
+        return Judging(judged.views, judged.resolution, judged.spp, config.seed)
+
+
+def compare_assets(
+    reference: Asset,
+    candidates: Mapping[str, Asset],
+    judging: Judging = Judging(),
+    progress: ProgressCallback | None = None,
+) -> Comparison:
+    """
+    Path trace all of them from the same held-out views under the same lights, and measure.
+
+    A point light stands 5 to 75 degrees off the camera, beyond 30 degrees in every other view, under
+    a dim constant sky. Candidates stand in the reference's frame.
+
+    Parameters
+    ----------
+    reference : Asset
+    candidates : mapping of str to Asset
+    judging : Judging
+    progress : callable, optional
+        Told after every image, as stage "evaluate".
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    AssetError
+        The reference is not to be seen in any of the views.
+    """
+    from ..scenes.views import held_out_views  # Mitsuba needs its variant by now, not on import
+
+    views = held_out_views(reference.bounds, judging.n_views, judging.resolution, judging.seed)
+    target = Rendering(reference, PathTraced(reference, judging.spp))
+    others = {name: Rendering(asset, PathTraced(asset, judging.spp)) for name, asset in candidates.items()}
+    settings = {"spp": judging.spp, "seed": judging.seed, "max_depth": MAX_DEPTH, "sky": SKY}
+    return compare_renderings(target, others, views, settings, progress)
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """
+    A model, and what its pictures are made with.
+
+    Parameters
+    ----------
+    asset : Asset
+        Its name, costs and file are told.
+    renderer : Reference
+    """
+
+    asset: Asset
+    renderer: Reference
+
+
+def compare_renderings(
+    reference: Rendering,
+    candidates: Mapping[str, Rendering],
+    views: Views,
+    settings: dict,
+    progress: ProgressCallback | None = None,
+) -> Comparison:
+    """
+    Render all of them from the same views, and measure.
+
+    Parameters
+    ----------
+    reference : Rendering
+    candidates : mapping of str to Rendering
+    views : Views
+        In the frame of all renderers.
+    settings : dict
+        How it was rendered, for ``metrics.json``; ``seed`` is that of the renderers' noise.
+    progress : callable, optional
+        Told after every image, as stage "evaluate".
+
+    Raises
+    ------
+    AssetError
+        The reference is not to be seen in any of the views.
+    """
+    progress = progress or silent
+    renderings, n_views, seed = {"": reference, **candidates}, len(views), settings["seed"]
+    images: dict[str, np.ndarray] = {}
+    for name, rendering in renderings.items():
+        parts = []
+        for k in range(n_views):
+            parts.append(rendering.renderer.render(views.take(np.array([k])), seed * n_views + k))
+            progress(Progress("evaluate", len(images) * n_views + k + 1, len(renderings) * n_views))
+        images[name] = _finite(np.concatenate(parts), rendering.asset.name)
+    target = images.pop("")
+    if not (target[..., 3] > COVERED).any():
+        raise AssetError(
+            f"{reference.asset.source or reference.asset.name}: no held-out view shows anything of it; "
+            "check its scale, and that it is not fully transparent"
+        )
+    rows = {name: {**_costs(candidates[name].asset), **compare(target, images[name])} for name in candidates}
+    figures = {
+        "generator": f"mi_simplify {__version__}",
+        "settings": {"n_views": n_views, "resolution": views.width, **settings},
+        "reference": {"name": reference.asset.name, **_costs(reference.asset)},
+        "candidates": rows,
+    }
+    return Comparison(target, images, figures)
+
+
+def _finite(images: np.ndarray, name: str) -> np.ndarray:
+    """Images whose values are all finite: what is not counts as black, and that is told."""
+    broken = ~np.isfinite(images)
+    if broken.any():
+        log.warning("%s: %d pixel values are not finite and count as black", name, np.count_nonzero(broken))
+        images[broken] = 0.0
+    return images
+
+
+def _costs(asset: Asset) -> dict:
+    """What a model is made of; of its file, where there is one, the size without those that it names."""
+    used = {instance.part: asset.parts[instance.part] for instance in asset.instances}.values()
+    materials = list({id(part.material): part.material for part in used}.values())
+    textures = [[x for x in (m.base_color, m.specular, m.normal) if x is not None] for m in materials]
+    file = Path(asset.source).absolute()
+    is_file = bool(asset.source) and file.is_file()
+    return {
+        "triangles": asset.n_triangles,
+        "vertices": sum(len(part.vertices) for part in used),
+        "materials": len(materials),
+        "texels": sum(max(x.shape[0] * x.shape[1] for x in images) for images in textures),
+        "file": str(file) if is_file else asset.source or None,
+        "bytes": file.stat().st_size if is_file else None,
+    }
+
+
+class PathTraced:
+    """
+    An asset under the point light of each view and a dim constant sky, as a
+    :class:`..scenes.references.reference.Reference`.
+
+    Point light and sky are rendered apart and added: a path tracer that picks one of two lights at
+    random is far noisier, and noise here is error that neither model has.
+
+    Parameters
+    ----------
+    asset : Asset
+    spp : int
+        Samples per pixel.
+    """
+
+    def __init__(self, asset: Asset, spp: int):
+        from ..scenes.references.path_traced import make_reference
+
+        self._lit = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH)
+        self._sky = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY)
+
+    def render(self, views: Views, seed: int = 0) -> np.ndarray:
+        """
+        Images of the views, shape (B, H, W, 4).
+        """
+        image = self._lit.render(views, seed=2 * seed)
+        image[..., :3] += self._sky.render(views.lit_by(0.0), seed=2 * seed + 1)[..., :3]
+        return image
+
+
+def evaluate(
+    reference: Asset,
+    candidates: Mapping[str, Asset],
+    *,
+    n_views: int = 8,
+    resolution: int = 256,
+    spp: int = 64,
+    seed: int = 0,
+    out: str | Path | None = None,
+    progress: ProgressCallback | None = None,
+) -> dict:
+    """
+    PSNR, FLIP and silhouette error of candidates against a reference: :func:`compare_assets`, and its files.
+
+    Parameters
+    ----------
+    n_views, resolution, spp, seed : int
+        As :class:`Judging` has them.
+    out : str or Path, optional
+        Folder for the files of :func:`save_comparison`; nothing is written without it.
+
+    Returns
+    -------
+    dict
+        ``Comparison.figures``.
+    """
+    if out is not None:
+        out = make_folder(out)  # a folder that cannot be written is found out before minutes of rendering
+    comparison = compare_assets(reference, candidates, Judging(n_views, resolution, spp, seed), progress)
+    if out is not None:
+        save_comparison(comparison, out)
+    return comparison.figures

@@ -1,0 +1,134 @@
+"""
+Whether a written file shows what was fitted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..formats.gltf.file import GltfFile
+from ..integrators.deferred import DeferredRenderer
+from ..latent.latent import Latent
+from ..latent.surface import MeshTopology, Surface
+from ..latent.textures import Textures, needs_extended
+from ..machine.upload import upload
+from ..model.asset import Asset, Part
+from ..model.mesh import Mesh
+from ..model.model import Model
+from ..model.rig import BIND_POSE, turn
+from ..model.tangents import vertex_tangents
+from ..scenes.shapes import part_normals
+from ..scenes.views import Views, held_out_views
+from .metrics import psnr
+
+LEAST_PSNR = 45.0
+"""What a file reaches that lost nothing but the precision of 8-bit textures [dB]."""
+
+
+def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int = 4, resolution: int = 256) -> float:
+    """
+    How alike the latent model and a file of it are, lit directly.
+
+    Both are rendered by the renderer of the fit from the same sample positions, so that the difference is the file's.
+    Of the file nothing but its vertices, normals, tangents, texture coordinates and images is used, and its skeleton; a
+    character is compared in two frames of its clip, with the weights that its file keeps.
+
+    Parameters
+    ----------
+    model : Model
+        What was fitted.
+    written : Asset
+        What was read back, of one part, in the frame of the model.
+    form : {'gltf', 'paper'}
+        Mixing of the lobes.
+    n_views, resolution : int
+        How many square images of how many pixels.
+
+    Returns
+    -------
+    float
+        PSNR of what a screen shows, mean over the views [dB]; 100 where nothing differs.
+    """
+    if model.skin is not None:
+        model = replace(model, skin=model.skin.pruned())
+    found = []
+    for frame in _frames(written):
+        shown = written.posed(frame)
+        views = held_out_views(shown.bounds, n_views, resolution).at(frame)
+        (part,), tangents, skin = shown.placed(), stored_tangents(written), written.parts[0].skin
+        if written.rig is not None and skin is not None and tangents is not None:
+            turned = turn(tangents[:, :3], skin, written.rig.matrices(frame)[:, :3, :3])
+            tangents = np.concatenate([turned, tangents[:, 3:]], axis=1)
+        there = _render(*as_written(part, tangents), views, form)
+        found.append(psnr(latent_images(model, views, form), there).mean())
+    return float(np.mean(found))
+
+
+def latent_images(model: Model, views: Views, form: str = "gltf") -> np.ndarray:
+    """
+    A model as the fit shows it, lit directly, from views of one frame, shape (B, H, W, 4).
+    """
+    latent = Latent(model, needs_extended(model.base_color, model.specular))
+    operation = latent.operation
+    base = upload(mi.Float, operation.base.positions.ravel())
+    parameters = {name: upload(mi.Float, value) for name, value in operation.parameters.items()}
+    positions = operation.positions(base, parameters, views)
+    surface = latent.evaluate(positions, base, parameters, views)
+    return _render(latent.topology, surface, latent.textures, positions, views, form)
+
+
+def _frames(written: Asset) -> list[int]:
+    """Frames to compare in: two of a clip, else how the file stands, which is in the bind pose without a rig."""
+    return [BIND_POSE] if written.rig is None else sorted({written.rig.n_frames // 4, 3 * written.rig.n_frames // 4})
+
+
+def stored_tangents(written: Asset) -> np.ndarray | None:
+    """
+    Tangents and handedness that a GLB file carries, shape (V, 4); other formats have none.
+    """
+    if not written.source.endswith(".glb"):
+        return None
+    file = GltfFile(Path(written.source), [])
+    return file.accessor(file.item("meshes", 0)["primitives"][0]["attributes"]["TANGENT"])
+
+
+def as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, Surface, Textures, mi.Float]:
+    """
+    The part on the device, with normals and tangents as in its file; MikkTSpace's tangents where it has none.
+    """
+    vertex = np.arange(len(part.vertices))
+    assert part.uvs is not None  # every exporter writes them
+    topology = MeshTopology(Mesh(part.vertices, vertex, part.uvs, part.faces))
+    mesh, normals = topology.mesh, part_normals(part)
+    if tangents is None:
+        t, w = vertex_tangents(mesh, normals)
+    else:
+        t, w = tangents[mesh.position_index, :3], tangents[mesh.position_index, 3]
+    u, v = mesh.uvs[:, :1], mesh.uvs[:, 1:]
+    packets = np.concatenate([mesh.vertices, u, normals[mesh.position_index], v, t, w[:, None]], axis=1)
+    material = part.material
+    normal = np.array([[[0, 0, 1]]], np.float32) if material.normal is None else material.normal
+    images = (material.base_color, material.specular, normal)
+    size = tuple(np.max([image.shape[:2] for image in images], axis=0))
+    color, specular, normal = (np.broadcast_to(image, (*size, image.shape[2])) for image in images)
+    if material.alpha_mode == "OPAQUE":
+        color = np.concatenate([color[..., :3], np.ones_like(color[..., 3:])], axis=2)
+    textures = Textures(color, specular, normal, needs_extended(color, specular))
+    surface = Surface(upload(mi.Float, packets.ravel()), topology.faces)
+    return topology, surface, textures, upload(mi.Float, mesh.positions.ravel())
+
+
+def _render(
+    topology: MeshTopology, surface: Surface, textures: Textures, positions: mi.Float, views: Views, form: str
+) -> np.ndarray:
+    """Images of the views, shape (B, H, W, 4)."""
+    renderer = DeferredRenderer(topology, form=form)
+    renderer.move(positions)
+    with dr.suspend_grad():
+        frame = renderer.render(surface, textures, views, spp=4, seed=dr.opaque(mi.UInt32, 1))
+    return frame.images()

@@ -1,0 +1,1 @@
+"""Meshes, materials and skeletons in plain NumPy; it imports nothing above it."""

@@ -1,0 +1,200 @@
+"""
+The small textured mesh in plain NumPy: what the first guess makes, the fit improves, the export writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .asset import Asset, Instance, Material, Part
+from .mesh import Mesh
+from .rigging import Rigging
+from .tessellation import Tessellation
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """
+    How a base mesh is split and moved along its normals, see :mod:`.tessellation`.
+
+    Parameters
+    ----------
+    height : ndarray, shape (H, W), float32
+        Displacement along the interpolated unit normal [units of the mesh].
+    subdivisions : int
+        How often every face is split in four.
+    fitted : tuple of int
+        Subdivisions that it is fitted for at once; empty: ``subdivisions`` alone.
+    """
+
+    height: np.ndarray
+    subdivisions: int
+    fitted: tuple[int, ...] = ()
+
+    @property
+    def framed(self) -> int:
+        """
+        Subdivisions of the displaced mesh whose normals, interpolated, shade all finer ones: the coarsest one fitted.
+
+        So one normal map serves them all. Normals of the base mesh would do so as well, and for a mesh that its user
+        subdivides further, but lie so far from those of the relief that path tracers show it too dark.
+        """
+        return min((self.subdivisions, *self.fitted))
+
+
+@dataclass(frozen=True)
+class VertexSets:
+    """
+    Positions for smaller sizes on the screen, see :mod:`..latent.vertex_sets`.
+
+    Parameters
+    ----------
+    sizes : tuple of float
+        Sides of the images that each set is for [pixels], falling; the first is that of the mesh's own positions.
+    offsets : ndarray, shape (K - 1, P, 3)
+        What is added to the mesh's positions for each of the other sizes.
+    """
+
+    sizes: tuple[float, ...]
+    offsets: np.ndarray
+
+
+@dataclass(frozen=True)
+class Model:
+    """
+    Mesh and PBR textures of one material.
+
+    Parameters
+    ----------
+    base_color : ndarray, shape (H, W, 4), float32
+        Linear RGB and opacity.
+    specular : ndarray, shape (H, W, 3), float32
+        (gamma, roughness, metallic), linear.
+    normal : ndarray, shape (H, W, 3), float32
+        Unit vectors in MikkTSpace tangent space, +Y up the image.
+    alpha_mode : {'OPAQUE', 'MASK', 'BLEND'}
+        As in glTF.
+    mips : tuple of dict
+        Coarser levels of the textures where they are the model's own and not means of the finest: ``base_color``,
+        ``specular`` and ``normal``, each half as large as the one before.
+    displacement : Displacement, optional
+        With it ``mesh`` is a base mesh, and the textures belong to what it is displaced into.
+    vertex_sets : VertexSets, optional
+        Other positions for smaller sizes on the screen.
+    ambient : ndarray, shape (K, 3), float32, optional
+        The light besides point lights that it was fitted under, see :mod:`..latent.ambient`.
+    skin : Rigging, optional
+        Skeleton, clip and weights of a character, whose mesh stands in its bind pose.
+    """
+
+    mesh: Mesh
+    base_color: np.ndarray
+    specular: np.ndarray
+    normal: np.ndarray
+    alpha_mode: str = "OPAQUE"
+    alpha_cutoff: float = 0.5
+    name: str = "model"
+    mips: tuple[dict[str, np.ndarray], ...] = ()
+    ambient: np.ndarray | None = None
+    displacement: Displacement | None = None
+    skin: Rigging | None = None
+    vertex_sets: VertexSets | None = None
+
+    @property
+    def n_triangles(self) -> int:
+        """Number of triangles."""
+        return len(self.mesh.faces)
+
+    @property
+    def material(self) -> Material:
+        """The textures as a material of the scenes stage."""
+        return Material(self.name, self.base_color, self.specular, self.normal, self.alpha_mode, self.alpha_cutoff)
+
+    def transformed(self, scale: float, offset: np.ndarray) -> Model:
+        """
+        The model with positions ``p * scale + offset`` (uniform scale, so textures stay valid).
+        """
+        mesh = replace(self.mesh, positions=self.mesh.positions * scale + np.asarray(offset))
+        displacement = self.displacement
+        if displacement is not None:
+            displacement = replace(displacement, height=(displacement.height * scale).astype(np.float32))
+        sets = self.vertex_sets
+        if sets is not None:
+            sets = replace(sets, offsets=sets.offsets * scale)
+        skin = None if self.skin is None else self.skin.transformed(scale, offset)
+        return replace(self, mesh=mesh, displacement=displacement, vertex_sets=sets, skin=skin)
+
+    def taking(self, fitted: Model, quantities: Collection[str]) -> Model:
+        """
+        Some quantities of a model fitted from this one, everything else as it is here, to the bit.
+
+        Parameters
+        ----------
+        quantities : collection of str
+            Of vertices, base_color, opacity, gamma, roughness, metallic, normal; what a mesh operation has besides is
+            the fitted model's, which left it alone where it was not to be fitted.
+        """
+        mesh = fitted.mesh
+        if "vertices" not in quantities:
+            mesh = replace(mesh, positions=self.mesh.positions)
+
+        taken = {name: np.array([owner in quantities for owner in owners]) for name, owners in _OWNERS.items()}
+        images = {name: np.where(taken[name], getattr(fitted, name), getattr(self, name)) for name in taken}
+        mips = fitted.mips
+        if self.mips:
+            mips = tuple(
+                {name: np.where(taken[name], new[name], old[name]) for name in taken}
+                for new, old in zip(mips, self.mips, strict=True)
+            )
+        return replace(fitted, mesh=mesh, mips=mips, **images)
+
+    def as_asset(self) -> Asset:
+        """
+        The model as an asset of one part, displaced, with the normals that it is fitted with, and its rig.
+        """
+        if self.displacement is not None:
+            return tessellated(self).as_asset()
+        skin = None if self.skin is None else self.skin.skin().taken(self.mesh.position_index)
+        part = Part(
+            vertices=self.mesh.vertices,
+            faces=self.mesh.faces,
+            normals=self.mesh.normals()[self.mesh.normal_groups].astype(np.float32),
+            uvs=self.mesh.uvs,
+            material=self.material,
+            name=self.name,
+            skin=skin,
+        )
+        rig = None if self.skin is None else self.skin.rig
+        return Asset((part,), (Instance(0, name=self.name),), name=self.name, ambient=self.ambient, rig=rig)
+
+
+def tessellated(model: Model, subdivisions: int | None = None) -> Model:
+    """
+    A displaced model as the mesh that it stands for.
+
+    Parameters
+    ----------
+    subdivisions : int, optional
+        Those of the model's displacement if not given.
+    """
+    displacement = model.displacement
+    if displacement is None:
+        return model
+    level = displacement.subdivisions if subdivisions is None else subdivisions
+    tessellation = Tessellation.of(model.mesh, level)
+    mesh = replace(tessellation.mesh, positions=tessellation.positions(model.mesh.positions, displacement.height))
+    if level > displacement.framed:
+        coarse = tessellated(model, displacement.framed).mesh
+        mesh = replace(mesh, own_normals=tessellation.interpolated(coarse.normals(), displacement.framed))
+    return replace(model, mesh=mesh, displacement=None)
+
+
+#: Which quantities the channels of the textures are.
+_OWNERS = {
+    "base_color": ("base_color",) * 3 + ("opacity",),
+    "specular": ("gamma", "roughness", "metallic"),
+    "normal": ("normal",) * 3,
+}

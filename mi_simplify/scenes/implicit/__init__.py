@@ -1,0 +1,1 @@
+"""Implicit surfaces and a library of distance functions."""

@@ -1,0 +1,1 @@
+"""What renders the images that a fit aims at."""

@@ -1,0 +1,143 @@
+"""Unwrapping: no overlap, the padding that was asked for, no mirrored charts, a time limit with a way on."""
+
+import subprocess
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+
+from mi_simplify.errors import MeshError
+from mi_simplify.initial.sphere import sphere
+from mi_simplify.initial.unwrap.atlas import texel_counts
+from mi_simplify.initial.unwrap.charting import charts, check, triangle_charts, unwrap
+from mi_simplify.model.mesh import Mesh
+from mi_simplify.model.tangents import face_tangents
+
+BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+BOX_FACES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+BOX_FACES = np.concatenate([BOX_FACES[:, [0, 1, 2]], BOX_FACES[:, [0, 2, 3]]])
+
+
+def bumpy(n=600):
+    p, f = sphere(n)
+    return p * (1 + 0.15 * np.sin(6 * p[:, :1]) * np.cos(5 * p[:, 1:2])) * [1, 1.4, 0.8], f
+
+
+def only(mesh: Mesh, which: np.ndarray) -> Mesh:
+    return Mesh(mesh.positions, mesh.position_index, mesh.uvs, mesh.faces[which])
+
+
+def gap(mesh: Mesh, size: int) -> float:
+    """Least number of texels between two charts, and twice that to the border of the texture."""
+    chart, n = charts(mesh)
+    least = np.inf
+    for k in range(n):
+        own, rest = (texel_counts(only(mesh, which), size) > 0 for which in (chart == k, chart != k))
+        least = min(least, (distance_transform_edt(~own) - 1)[rest].min(initial=np.inf))
+    q = mesh.uvs[mesh.faces] * size
+    return min(least, 2 * min(q.min(), size - q.max()))
+
+
+def check_layout(mesh: Mesh, positions: np.ndarray, faces: np.ndarray, size: int) -> None:
+    """The same triangles in the same order, on texels of their own, none mirrored."""
+    assert np.array_equal(mesh.position_faces, faces) and np.array_equal(mesh.positions, positions)
+    assert mesh.uvs.dtype == np.float32 and 0 <= mesh.uvs.min() and mesh.uvs.max() <= 1
+    assert texel_counts(mesh, size).max() == 1
+    assert texel_counts(mesh, 4 * size).max() == 1
+    assert (face_tangents(mesh)[1] == 1).all()
+
+
+@pytest.mark.parametrize("padding", [2, 6])
+def test_charts_neither_overlap_nor_touch_nor_mirror(padding):
+    p, f = bumpy()
+    mesh, notes = unwrap(p, f, atlas_size=256, padding=padding)
+    assert notes == []
+    check_layout(mesh, p, f, 256)
+    assert gap(mesh, 256) >= padding - 1  # a texel at most is lost where charts end between two centres
+
+
+def test_texels_are_shared_out_by_area():
+    p, f = bumpy()
+    mesh, _ = unwrap(p, f, atlas_size=512)
+    c, q = p[f], mesh.uvs[mesh.faces].astype(float)
+    area = np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1)
+    d, e = q[:, 1] - q[:, 0], q[:, 2] - q[:, 0]
+    density = np.abs(d[:, 0] * e[:, 1] - d[:, 1] * e[:, 0]) / area
+    assert np.quantile(density, 0.95) < 1.6 * np.quantile(density, 0.05)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e4])
+def test_size_and_place_do_not_matter(scale):
+    p, f = bumpy(200)
+    mesh, notes = unwrap(p * scale + 3 * scale, f, atlas_size=128)
+    assert notes == []
+    check_layout(mesh, p * scale + 3 * scale, f, 128)
+
+
+def test_creases_are_chart_borders_with_two_normals():
+    mesh, _ = unwrap(BOX, BOX_FACES, atlas_size=128, crease_angle=30)
+    check_layout(mesh, BOX, BOX_FACES, 128)
+    assert charts(mesh)[1] == 6 and len(mesh.uvs) == 24
+    n = mesh.normals()[mesh.normal_groups]
+    assert np.allclose(np.abs(n).max(1), 1)  # each side is flat
+    smooth, _ = unwrap(BOX, BOX_FACES, atlas_size=128)
+    assert np.allclose(np.abs(smooth.normals()), 1 / np.sqrt(3), atol=0.2)
+
+
+def test_the_same_mesh_is_unwrapped_the_same_way():
+    p, f = bumpy(200)
+    a, b = (unwrap(p, f, atlas_size=128)[0] for _ in range(2))
+    assert np.array_equal(a.uvs, b.uvs) and np.array_equal(a.faces, b.faces)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 301])
+def test_every_triangle_a_chart_of_its_own(n):
+    rng = np.random.default_rng(n)
+    p, f = rng.normal(size=(3 * n, 3)), np.arange(3 * n).reshape(-1, 3)
+    index, uvs, faces = triangle_charts(p, f, 256, 4)
+    uvs = np.float32(np.stack([uvs[:, 0], 256 - uvs[:, 1]], 1) / 256)
+    mesh = Mesh(p, index, uvs, faces)
+    check_layout(mesh, p, f, 256)
+    assert charts(mesh)[1] == n
+
+
+def test_the_time_limit_is_kept_and_said():
+    p, f = bumpy(2000)
+    mesh, notes = unwrap(p, f, atlas_size=512, time_limit=0.02)
+    assert notes[0].startswith("xatlas took longer than 0.02 s; every triangle is a chart of its own")
+    check_layout(mesh, p, f, 512)
+
+
+def test_without_xatlas_creases_keep_their_two_normals():
+    mesh, notes = unwrap(BOX, BOX_FACES, atlas_size=128, crease_angle=30, time_limit=0.01)
+    assert len(notes) == 1
+    check_layout(mesh, BOX, BOX_FACES, 128)
+    assert np.allclose(np.abs(mesh.normals()[mesh.normal_groups]).max(1), 1)
+
+
+def test_a_failure_of_xatlas_is_said_with_its_reason(monkeypatch):
+    done = subprocess.CompletedProcess([], 1, b"", b"Traceback\nRuntimeError: no charts today\n")
+    monkeypatch.setattr(subprocess, "run", lambda *a, **k: done)
+    p, f = bumpy(100)
+    mesh, notes = unwrap(p, f, atlas_size=128)
+    assert "xatlas failed (RuntimeError: no charts today)" in notes[0]
+    check_layout(mesh, p, f, 128)
+
+
+def test_an_atlas_too_small_for_its_triangles_is_refused_with_the_size_that_does():
+    p, f = bumpy(2000)
+    with pytest.raises(MeshError, match="2000 triangles do not fit a 64² atlas; use an atlas size of at least 128"):
+        unwrap(p, f, atlas_size=64, time_limit=0.01)
+    with pytest.raises(MeshError, match="no faces"):
+        unwrap(p, f[:0])
+
+
+def test_the_check_warns_of_few_texels_and_thin_charts():
+    p, f = bumpy(2000)
+    _, notes = unwrap(p, f, atlas_size=64, padding=1)
+    assert any("texels a triangle in a 64² atlas; use a larger atlas or fewer triangles" in n for n in notes)
+    strip = Mesh(np.eye(4)[:, :3], np.arange(4), np.float32([[0, 0], [1, 0], [1, 0.005], [0, 0.005]]),
+                 np.array([[0, 1, 2], [0, 2, 3]]))  # fmt: skip
+    notes = check(strip, 512)
+    assert any("100% of the surface lies in charts narrower than 4 texels" in n for n in notes)
+    assert any("charts cover only 0% of the atlas" in n or "1% of the atlas" in n for n in notes)
