@@ -1,4 +1,4 @@
-# The whole vocabulary: install, demo, test, slow, fuzz, browser, lint, format, docs, clean (see CONTRIBUTING.md).
+# The whole vocabulary: install, demo, test, slow, fuzz, browser, lint, format, docs, dist, clean (see CONTRIBUTING.md).
 # PYTHON=/path/to/python3.12 chooses the interpreter that .venv is made from.
 
 # The first Python from 3.11 to 3.13, for which all wheels exist.
@@ -9,8 +9,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out/demo
 ARGS ?=
+# Interpreters in which `make dist` tries the wheel.
+PYTHONS ?= $(PYTHON)
 
-.PHONY: install demo test slow fuzz browser lint format docs clean
+.PHONY: install demo test slow fuzz browser lint format docs dist clean
 .DEFAULT_GOAL := install
 
 install: $(VENV)/.installed
@@ -69,6 +71,11 @@ format: install
 docs: $(VENV)/.docs
 	$(BIN)/mi-simplify config-schema > $(VENV)/config.md && mv $(VENV)/config.md docs/config.md
 	$(BIN)/mkdocs build --quiet --strict
+
+dist: install
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist . > $(VENV)/build.log || { cat $(VENV)/build.log; exit 1; }
+	@for python in $(PYTHONS); do .ci/smoke dist/*.whl $$python || exit; done
 
 clean:
 	rm -rf $(VENV) build dist site out

@@ -20,7 +20,7 @@ from .machine.runtime import after_import as _after_import
 from .machine.runtime import choose_llvm as choose_llvm
 from .machine.runtime import ensure_variant as ensure_variant
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _EXPORTS = {
     "Asset": "model.asset",
