@@ -4,11 +4,13 @@ Curves of a run as inline SVG: no script, no file, colours from the page that ho
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Sequence
 
 import numpy as np
+from markupsafe import Markup
+
+from .templates import render
 
 WIDTH, HEIGHT = 560, 250
 LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 40
@@ -18,7 +20,7 @@ MOST_POINTS = 400
 
 def line_chart(
     x: Sequence[float], y: Sequence[float], *, x_label: str, y_label: str, log: bool = False, css: str = "curve"
-) -> str:
+) -> Markup:
     """
     One curve with axes, ticks and a tooltip at its last value.
 
@@ -35,13 +37,13 @@ def line_chart(
 
     Returns
     -------
-    str
-        An ``<svg>`` element, or an empty string where no point is left.
+    Markup
+        An ``<svg>`` element, or nothing where no point is left.
     """
     points = np.array([np.asarray(x, np.float64), np.asarray(y, np.float64)])
     points = points[:, np.isfinite(points).all(0) & ((points[1] > 0) | (not log))]
     if not points.shape[1]:
-        return ""
+        return Markup()
     last = points[1, -1]
     if log:
         points[1] = np.log10(points[1])
@@ -51,28 +53,13 @@ def line_chart(
     to_x = lambda v: LEFT + (v - x0) / (x1 - x0) * (WIDTH - LEFT - RIGHT)  # noqa: E731
     to_y = lambda v: HEIGHT - BOTTOM - (v - y0) / (y1 - y0) * (HEIGHT - TOP - BOTTOM)  # noqa: E731
 
-    parts = []
-    for value, text in log_ticks(y0, y1) if log else ticks(y0, y1):
-        at = f"{to_y(value):.1f}"
-        parts.append(f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at}" y2="{at}"/>')
-        parts.append(f'<text class="tick" x="{LEFT - 8}" y="{at}" text-anchor="end" dy="0.32em">{text}</text>')
-    for value, text in ticks(x0, x1):
-        at = f"{to_x(value):.1f}"
-        parts.append(f'<text class="tick" x="{at}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{text}</text>')
-    axis = HEIGHT - BOTTOM
-    parts.append(f'<line class="axis" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{axis}" y2="{axis}"/>')
-    line = " ".join(f"{to_x(a):.1f},{to_y(b):.1f}" for a, b in points.T)
-    parts.append(f'<polyline class="line" points="{line}"/>')
-    end = f'cx="{to_x(points[0, -1]):.1f}" cy="{to_y(points[1, -1]):.1f}"'
-    parts.append(f'<circle class="end" r="3.5" {end}><title>{last:.6g}</title></circle>')
-    middle, text = (LEFT + WIDTH - RIGHT) / 2, html.escape(x_label)
-    parts.append(f'<text class="label" x="{middle:.0f}" y="{HEIGHT - 4}" text-anchor="middle">{text}</text>')
-    name = html.escape(f"{y_label} against {x_label}")
-    return (
-        f'<svg class="{html.escape(css)}" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{name}">'
-        + "".join(parts)
-        + "</svg>"
-    )
+    rows = [(to_y(value), text) for value, text in (log_ticks(y0, y1) if log else ticks(y0, y1))]
+    columns = [(to_x(value), text) for value, text in ticks(x0, x1)]
+    return render(
+        "chart.svg", css=css, width=WIDTH, height=HEIGHT, left=LEFT, right=WIDTH - RIGHT, axis=HEIGHT - BOTTOM,
+        rows=rows, columns=columns, points=[(to_x(a), to_y(b)) for a, b in points.T], last=f"{last:.6g}",
+        x_label=x_label, y_label=y_label,
+    )  # fmt: skip
 
 
 def ticks(low: float, high: float, n: int = 5) -> list[tuple[float, str]]:

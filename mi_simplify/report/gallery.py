@@ -7,7 +7,7 @@ Every picture is a ``<figure>`` that says which view and column it shows, and is
 
 from __future__ import annotations
 
-import html
+from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
@@ -27,6 +27,33 @@ LOSSLESS_PIXELS = 6_000_000
 """Up to here pictures are embedded as they are, about a byte a pixel; above it with the losses of WebP."""
 
 ERRORS = ("difference", "coverage errors", "FLIP")
+
+
+@dataclass(frozen=True)
+class Strip:
+    """
+    One column of the grid as it is embedded.
+
+    Parameters
+    ----------
+    name, kind : str
+        Of its pictures, and of its heading: one of :data:`ERRORS` where it shows how far a candidate is off.
+    of : str or None
+        That candidate.
+    hidden : bool
+        Until it is chosen.
+    uris : list of str
+        A picture a view.
+    captions : tuple of str
+        One a view, or none.
+    """
+
+    name: str
+    kind: str
+    of: str | None
+    hidden: bool
+    uris: list[str]
+    captions: tuple[str, ...]
 
 
 def pictures(comparison: Comparison) -> list[Column]:
@@ -53,23 +80,13 @@ def pictures(comparison: Comparison) -> list[Column]:
     return _reduced(out + errors)
 
 
-def divider(columns: list[Column], right: int) -> str:
+def divider(columns: list[Column], right: int) -> dict:
     """
-    Markup of two pictures, the reference and column ``right`` at first, which ``web/page.js`` takes from the grid.
+    What ``web/views.html`` needs for two pictures with a divider, the reference and column ``right`` at first;
+    ``web/page.js`` takes them from the grid.
     """
     n_views, height, width = columns[0].images.shape[:3]
-    picker = "".join(f'<option value="{k}">{html.escape(column.name)}</option>' for k, column in enumerate(columns))
-    thumbs = "".join(f'<button type="button" aria-label="view {k + 1}"></button>' for k in range(n_views))
-    return f"""
-<div class="compare" id="compare" data-left="0" data-right="{right}" hidden>
-<div class="bar"><label>left <select data-side="left">{picker}</select></label>
-<label>right <select data-side="right">{picker}</select></label></div>
-<div class="stage" id="stage" role="slider" tabindex="0" aria-label="divider between the two pictures"
- aria-valuemin="0" aria-valuemax="100" aria-valuenow="50" style="--ratio: {width / height:.4f}">
-<img class="right" alt=""><img class="left" alt=""><div class="divider"><i></i></div>
-<span class="tag left"></span><span class="tag right"></span></div>
-<div class="thumbs">{thumbs}</div>
-</div>"""
+    return {"names": [c.name for c in columns], "right": right, "ratio": width / height, "n_views": n_views}
 
 
 def left_out(comparison: Comparison) -> str:
@@ -117,43 +134,19 @@ def _reduced(columns: list[Column]) -> list[Column]:
     ]
 
 
-def grid(columns: list[Column], names: list[str]) -> str:
+def grid(columns: list[Column], names: list[str]) -> dict:
     """
-    Markup of one row a view: reference, candidates by their ``names``, and the errors of one of them, to be chosen.
+    What ``web/views.html`` needs for one row a view: reference, candidates by their ``names``, and the errors of one of
+    them, to be chosen.
     """
     lossless = sum(column.images.size for column in columns) <= 3 * LOSSLESS_PIXELS
-    small = " pixelated" if columns[0].images.shape[2] < 100 else ""
-    n_plain, last = 1 + len(names), names[-1]
-    shown_columns = n_plain + len(ERRORS)
-    attributes = []  # of each column's cells
+    n_plain = 1 + len(names)
+    strips = []
     for k, column in enumerate(columns):
-        owner = None if k < n_plain else names[(k - n_plain) // len(ERRORS)]
-        hidden = "" if owner in (None, last) else " hidden"
-        kind = column.name if owner is None else ERRORS[(k - n_plain) % len(ERRORS)]
-        of = "" if owner is None else f' data-of="{html.escape(owner)}"'
-        attributes.append((kind, f'data-column="{html.escape(kind)}"{of}{hidden}'))
-    cells = ['<div class="head"></div>']
-    cells += [f'<div class="head" {attribute}>{html.escape(kind)}</div>' for kind, attribute in attributes]
-    for view in range(len(columns[0].images)):
-        cells.append(f'<div class="row">{view + 1}</div>')
-        for k, (column, (_, attribute)) in enumerate(zip(columns, attributes, strict=True)):
-            caption = html.escape(column.captions[view]) if column.captions else ""
-            cells.append(
-                f'<figure data-view="{view}" data-index="{k}" {attribute}>'
-                f'<img alt="{html.escape(column.name)}, view {view + 1}" class="zoom{small}" '
-                f'src="{data_uri(column.images[view], lossless=lossless)}"><figcaption>{caption}</figcaption></figure>'
-            )
-    return (
-        f'{_choice(names)}<div class="scroll"><div class="views" style="--columns:{shown_columns}">'
-        f"{''.join(cells)}</div></div>"
-    )
-
-
-def _choice(names: list[str]) -> str:
-    """Whose errors the grid shows; nothing to choose where there is one candidate."""
-    if len(names) < 2:
-        return ""
-    options = "".join(
-        f"<option{' selected' if name == names[-1] else ''}>{html.escape(name)}</option>" for name in names
-    )
-    return f'<div class="bar"><label>errors of <select id="errors-of">{options}</select></label></div>'
+        candidate, error = divmod(k - n_plain, len(ERRORS))
+        of = names[candidate] if k >= n_plain else None
+        kind = column.name if of is None else ERRORS[error]
+        uris = [data_uri(image, lossless=lossless) for image in column.images]
+        strips.append(Strip(column.name, kind, of, of not in (None, names[-1]), uris, column.captions))
+    pixelated = columns[0].images.shape[2] < 100
+    return {"names": names, "strips": strips, "n_shown": n_plain + len(ERRORS), "pixelated": pixelated}

@@ -1,19 +1,20 @@
 """
 The report of a run: one HTML file that opens anywhere, without a network.
 
-Every part is a ``<section>`` with an id, every picture a ``<figure>`` that says what it shows, and the figures stand
-once more as JSON in ``#report-data``. The two scripts, ``web/page.js`` and ``web/viewer.js``, are in the page, which
-permits no others and no connection; without them everything but divider and 3D view is still there.
+This module says what is in it, ``web/report.html`` how it looks. Every part is a ``<section>`` with an id, every
+picture a ``<figure>`` that says what it shows, and the figures stand once more as JSON in ``#report-data``. The two
+scripts, ``web/page.js`` and ``web/viewer.js``, are in the page, which permits no others and no connection; without them
+everything but divider and 3D view is still there.
 """
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from .. import __version__
 from ..formats.textures import to_8bit
@@ -23,8 +24,8 @@ from ..machine.files import write_atomic
 from ..model.asset import Asset
 from ..progress import in_words
 from .chart import line_chart
-from .embed import json_block, script_hash, web_file
 from .gallery import MOST_VIEWS, divider, grid, left_out, pictures
+from .templates import render, script_hash, web_file
 from .viewer import texture_sheets, viewer_data
 
 FIGURES = {"psnr": ("PSNR", "{:.2f}", "dB", +1), "flip": ("FLIP", "{:.4f}", "", -1)}
@@ -42,6 +43,9 @@ COSTS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "texels": ("texels", "{:,}".format), "bytes": ("file", _size),
 }  # fmt: skip
 """Heading and format of what a model costs."""
+
+MODES = {"shaded": 0, "shape alone": 5, "base colour": 1, "roughness": 2, "metallic": 3, "normals": 4}
+"""What the 3D view shows, as ``web/viewer.js`` numbers it."""
 
 
 def write_report(path: str | Path, comparison: Comparison, **parts: Any) -> Path:
@@ -92,136 +96,67 @@ def report_page(
         What was repaired or left out, one line each.
     """
     models, figures, columns = models or {}, comparison.figures, pictures(comparison)
-    names = list(comparison.candidates)
-    beside = _section("side-by-side", "Side by side", divider(columns, len(names)), _DIVIDER_HINT)
-    turning = _section("model", "In 3D", _viewer(models), _VIEWER_HINT)
-    table = _section("figures", "Figures", _table(figures), _COSTS_HINT)
+    names, turning = list(comparison.candidates), viewer_data(models) if models else {}
     is_fit = "run" in figures or len(names) < 2  # the last candidate is what all the others are for
-    sections = [
-        _cards(figures, log) if is_fit else table,
-        f'<div class="pair">{beside}{turning}</div>',
-        _section("views", "Held-out views", grid(columns, names), _views_hint(figures) + left_out(comparison)),
-        *(
-            _section("textures", f"Textures of {name}", texture_sheets(asset, maps or {}))
-            for name, asset in [*models.items()][-1:]
-        ),
-        table if is_fit else "",
-        _section("curves", "Course of the fit", _curves(log)),
-        _section("notes", "Notes", _notes(notes)),
-        _section("files", "Files", _files(files)),
-        _section("settings", "Settings", f"<pre>{html.escape(settings)}</pre>" if settings else ""),
-    ]
     scripts = [web_file("page.js"), *([web_file("viewer.js")] if models else [])]
-    permitted = " ".join(map(script_hash, scripts))
-    policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {permitted}"
-    lead = f'<p class="lead">{html.escape(summary)}</p>' if summary else ""
-    return f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
-<link rel="icon" href="data:,">
-<title>{html.escape(title)}</title>
-<style>
-{web_file("style.css")}</style>
-</head>
-<body>
-<main>
-<header><p class="kind">mi_simplify report</p><h1>{html.escape(title)}</h1>{lead}</header>
-{"".join(sections)}
-<footer>Made by mi_simplify {html.escape(__version__)}. Everything is in this file, nothing is loaded.</footer>
-</main>
-<dialog id="enlarged" aria-label="enlarged picture"><img alt=""><p></p></dialog>
-{json_block("report-data", figures)}{json_block("viewer-data", viewer_data(models)) if models else ""}\
-{"".join(f"<script>{text}</script>{chr(10)}" for text in scripts)}</body>
-</html>
-"""
-
-
-_COSTS_HINT = "A file’s size is its own; textures that a format keeps in files beside it come on top."
-_DIVIDER_HINT = "Drag the divider, or use the arrow keys: left and right move it, up and down change the view."
-_VIEWER_HINT = "Drag to turn, wheel or pinch to come closer; Shift or the right button moves the light."
-
-
-#: What the 3D view shows, as ``web/viewer.js`` numbers it.
-_MODES = {"shaded": 0, "shape alone": 5, "base colour": 1, "roughness": 2, "metallic": 3, "normals": 4}
-
-
-def _viewer(models: Mapping[str, Asset]) -> str:
-    """The canvas and what is chosen above it."""
-    if not models:
-        return ""
-    labels = [f"{html.escape(name)}, {asset.n_triangles:,} triangles" for name, asset in models.items()]
-    chosen = ["" for _ in labels[1:]] + [" selected"]
-    names = "".join(f'<option value="{k}"{chosen[k]}>{label}</option>' for k, label in enumerate(labels))
-    modes = "".join(f'<option value="{k}">{name}</option>' for name, k in _MODES.items())
-    return (
-        f'<div id="viewer"><div class="bar"><label>model <select name="model">{names}</select></label>'
-        f'<label>show <select name="mode">{modes}</select></label>'
-        '<label><input type="checkbox" name="wires"> triangles</label></div>'
-        '<canvas tabindex="0" aria-label="the model in 3D"></canvas>'
-        '<p class="none">The 3D view needs WebGL 2, which this browser has not or not switched on.</p></div>'
+    return render(
+        "report.html",
+        title=title,
+        summary=summary,
+        version=__version__,
+        permitted=Markup(" ".join(map(script_hash, scripts))),
+        style=Markup(web_file("style.css")),
+        cards=_cards(figures, log) if is_fit else [],
+        divider=divider(columns, right=len(names)),
+        models=turning.get("models", []),
+        modes=MODES,
+        shown=_shown(figures) | {"left_out": left_out(comparison)},
+        grid=grid(columns, names),
+        textures=texture_sheets([*models.values()][-1], maps or {}) if models else [],
+        table=_table(figures),
+        curves=_curves(log),
+        notes=list(notes),
+        files=[(path.name, _size(path.stat().st_size)) for path in map(Path, files) if path.is_file()],
+        settings=settings,
+        data={"report-data": figures} | ({"viewer-data": turning} if models else {}),
+        scripts=[Markup(script) for script in scripts],
     )
 
 
-def _section(name: str, heading: str, body: str, hint: str = "") -> str:
-    """A section with a heading; nothing where there is no body."""
-    if not body:
-        return ""
-    hint = f'<p class="hint">{hint}</p>' if hint else ""
-    return f'<section id="{name}"><h2>{html.escape(heading)}</h2>{hint}{body}</section>\n'
-
-
-def _cards(figures: Mapping, log: Sequence[Mapping]) -> str:
+def _cards(figures: Mapping, log: Sequence[Mapping]) -> list[dict[str, str]]:
     """The four or five numbers that matter, with what they were before."""
     candidates = list(figures["candidates"].items())
     (first_name, first), (_, last) = candidates[0], candidates[-1]
     source = figures["reference"]["triangles"]
-    cards = [
-        _card("triangles", f"{last['triangles']:,}", "", f"of {source:,}, {100 * last['triangles'] / source:,.1f} %")
-    ]
+    share = f"of {source:,}, {100 * last['triangles'] / source:,.1f} %"
+    cards = [{"name": "triangles", "value": f"{last['triangles']:,}", "unit": "", "verdict": "", "note": share}]
     for key, (name, pattern, unit, better) in FIGURES.items():
-        change = ""
+        now, before, verdict, note = pattern.format(last[key]), pattern.format(first[key]), "", ""
         if len(candidates) > 1:
-            now, before = pattern.format(last[key]), pattern.format(first[key])
-            kind = "same" if now == before else "good" if better * (last[key] - first[key]) > 0 else "bad"
-            change = f'<span class="{kind}">{html.escape(first_name)}: {before}</span>'
-        cards.append(_card(name, pattern.format(last[key]), unit, change))
+            verdict = "same" if now == before else "good" if better * (last[key] - first[key]) > 0 else "bad"
+            note = f"{first_name}: {before}"
+        cards.append({"name": name, "value": now, "unit": unit, "verdict": verdict, "note": note})
     seconds = [r["seconds"] for r in log if r.get("seconds") is not None]
     if seconds:
-        cards.append(_card("time of the fit", in_words(seconds[-1]), "", f"{log[-1]['step']:,} steps"))
-    return f'<section id="summary" class="cards">{"".join(cards)}</section>\n'
+        steps = f"{log[-1]['step']:,} steps"
+        cards.append(
+            {"name": "time of the fit", "value": in_words(seconds[-1]), "unit": "", "verdict": "", "note": steps}
+        )
+    return cards
 
 
-def _card(name: str, value: str, unit: str, change: str) -> str:
-    """One number; ``change`` is markup, the rest text."""
-    unit = f" <small>{html.escape(unit)}</small>" if unit else ""
-    return (
-        f'<div class="card"><div class="name">{html.escape(name)}</div>'
-        f'<div class="value">{html.escape(value)}{unit}</div><div class="change">{change}</div></div>'
-    )
+def _shown(figures: Mapping) -> dict:
+    """How the pictures were made, and what their colours mean."""
+    settings = figures["settings"]
+    red, blue = ([int(v) for v in to_8bit(color)] for color in (RED, BLUE))
+    frames = ", ".join(f"{code:g}" for code in settings.get("frames", ())[:MOST_VIEWS])
+    return {
+        "sky": "sky" in settings, "spp": settings["spp"], "gain": f"{DIFFERENCE_GAIN:g}", "red": red, "blue": blue,
+        "frames": frames,
+    }  # fmt: skip
 
 
-def _views_hint(figures: Mapping) -> str:
-    """What the pictures show; markup."""
-    red, blue = (
-        f'<i class="key" style="background:rgb({",".join(str(int(v)) for v in to_8bit(color))})"></i>'
-        for color in (RED, BLUE)
-    )
-    s = figures["settings"]
-    lit = "under a point light and a dim sky that the fit has not seen" if "sky" in s else "in the light of the fit"
-    frames = ", ".join(f"{code:g}" for code in s.get("frames", ())[:MOST_VIEWS])
-    return (
-        f"{'Path traced' if 'sky' in s else 'Rendered'} at {s['spp']} samples per pixel {lit}. "
-        f"Difference × {DIFFERENCE_GAIN:g}: <span>{red} too bright</span>, <span>{blue} too dim</span>. "
-        f"Coverage: <span>{red} only the candidate’s</span>, <span>{blue} only the reference’s</span>."
-        + (f" The views are of frames {frames}." if frames else "")
-    )
-
-
-def _table(figures: Mapping) -> str:
+def _table(figures: Mapping) -> dict:
     """The reference and all candidates, one row each: what they cost, and how alike they are."""
     heads = ["", *(head for head, _ in COSTS.values())]
     heads += [f"{name} [{unit}]" if unit else name for name, _, unit, _ in FIGURES.values()]
@@ -229,39 +164,19 @@ def _table(figures: Mapping) -> str:
     for name, values in {"reference": figures["reference"], **figures["candidates"]}.items():
         cells = [form(values[key]) if values.get(key) is not None else "" for key, (_, form) in COSTS.items()]
         cells += [p.format(values[k]) if k in values else "" for k, (_, p, _, _) in FIGURES.items()]
-        rows.append(f'<tr><th scope="row">{html.escape(name)}</th>{"".join(f"<td>{c}</td>" for c in cells)}</tr>')
-    head = "".join(f'<th scope="col">{html.escape(h)}</th>' for h in heads)
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+        rows.append((name, cells))
+    return {"heads": heads, "rows": rows}
 
 
-def _curves(log: Sequence[Mapping]) -> str:
+def _curves(log: Sequence[Mapping]) -> list[dict[str, str]]:
     """Loss and PSNR over steps."""
-    charts = []
+    curves = []
     for key, heading, label, is_log in (
         ("loss", "Loss", "loss", True),
         ("psnr", "PSNR on held-out views", "PSNR [dB]", False),
     ):
         points = [(r["step"], r[key]) for r in log if r.get(key) is not None]
-        svg = (
-            line_chart(*zip(*points, strict=True), x_label="step", y_label=label, log=is_log) if len(points) > 1 else ""
-        )
-        if svg:
-            charts.append(f'<div class="chart" data-curve="{key}"><h3>{heading}</h3>{svg}</div>')
-    return f'<div class="charts">{"".join(charts)}</div>' if charts else ""
-
-
-def _notes(notes: Iterable[str]) -> str:
-    """A list of lines."""
-    items = "".join(f"<li>{html.escape(note)}</li>" for note in notes)
-    return f'<ul class="notes">{items}</ul>' if items else ""
-
-
-def _files(files: Iterable[str | Path]) -> str:
-    """Names and sizes of the files that are there."""
-    rows = "".join(
-        f"<tr><td>{html.escape(path.name)}</td><td>{_size(path.stat().st_size)}</td></tr>"
-        for path in map(Path, files)
-        if path.is_file()
-    )
-    head = '<tr><th scope="col">file</th><th scope="col">size</th></tr>'
-    return f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>" if rows else ""
+        if len(points) > 1:
+            svg = line_chart(*zip(*points, strict=True), x_label="step", y_label=label, log=is_log)
+            curves += [{"key": key, "heading": heading, "svg": svg}] if svg else []
+    return curves

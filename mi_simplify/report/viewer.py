@@ -7,7 +7,6 @@ the page, so they are embedded once and serve both.
 
 from __future__ import annotations
 
-import html
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -72,31 +71,46 @@ def sheets(material: Material, size: int = TEXTURE_SIZE) -> dict[str, Sheet]:
     return out
 
 
-def texture_sheets(asset: Asset, maps: Mapping[str, np.ndarray]) -> str:
+@dataclass(frozen=True)
+class Figure:
     """
-    Markup of the textures of a model's materials, each channel a figure, and of ``maps`` (8-bit) under their names.
+    One texture as ``web/model.html`` shows it.
+
+    Parameters
+    ----------
+    label, kind : str
+        What it is called, and its channel; "map" for what is no channel of a material.
+    size : tuple of int
+        Width and height of the texture itself.
+    uri : str
+        The picture.
+    id : str
+        By which :func:`viewer_data` finds it; empty where it does not.
+    """
+
+    label: str
+    kind: str
+    size: tuple[int, int]
+    uri: str
+    id: str = ""
+
+
+def texture_sheets(asset: Asset, maps: Mapping[str, np.ndarray]) -> list[Figure]:
+    """
+    The textures of a model's materials, each channel a figure, and ``maps`` (8-bit) under their names.
     """
     materials = _materials(asset)
     figures = []
     for k, material in enumerate(materials):
         for name, sheet in sheets(material, _texture_size(materials)).items():
-            width, height = sheet.size
             label = CHANNELS[name] if len(materials) == 1 else f"{material.name}: {CHANNELS[name]}"
-            figures.append(
-                f'<figure data-texture="{CHANNELS[name]}"><img class="zoom" id="{_id(k, name)}" '
-                f'alt="{html.escape(label)}" src="{data_uri(sheet.image)}">'
-                f"<figcaption>{html.escape(label)}, {width} × {height}</figcaption></figure>"
-            )
+            figures.append(Figure(label, CHANNELS[name], sheet.size, data_uri(sheet.image), _id(k, name)))
     for label, image in maps.items():
         height, width = image.shape[:2]
         picture = Image.fromarray(image)
         picture.thumbnail((TEXTURE_SIZE, TEXTURE_SIZE), Image.Resampling.BOX)
-        uri = data_uri(np.asarray(picture))
-        figures.append(
-            f'<figure data-texture="map"><img class="zoom" alt="{html.escape(label)}" src="{uri}">'
-            f"<figcaption>{html.escape(label)}, {width} × {height}</figcaption></figure>"
-        )
-    return f'<div class="textures">{"".join(figures)}</div>'
+        figures.append(Figure(label, "map", (width, height), data_uri(np.asarray(picture))))
+    return figures
 
 
 def viewer_data(models: Mapping[str, Asset]) -> dict:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jinja2 import UndefinedError
 from PIL import Image
 
 from mi_simplify.errors import AssetError, OutputError
@@ -32,6 +33,7 @@ from mi_simplify.report.chart import line_chart, log_ticks, ticks
 from mi_simplify.report.folder import report_folder
 from mi_simplify.report.gallery import pictures
 from mi_simplify.report.html import report_page, write_report
+from mi_simplify.report.templates import render
 from mi_simplify.report.viewer import viewer_data
 from mi_simplify.scenes.references.path_traced import make_reference
 from mi_simplify.scenes.views import held_out_views
@@ -196,6 +198,34 @@ def test_report_is_one_well_formed_file(comparison, tmp_path):
     (data,) = re.findall(r'id="report-data">(.*?)</script>', text)
     assert json.loads(data) == comparison.figures
     assert text.count("<svg") == 2
+
+
+def test_every_text_of_a_report_is_escaped(comparison, tmp_path):
+    evil = "\"'><script>alert(1)</script>"
+    (tmp_path / "a<script>alert(1).txt").write_text("x")
+    materials = [replace(texture_set(), name=evil + str(k)) for k in range(2)]
+    parts = tuple(replace(octahedron().parts[0], material=material) for material in materials)
+    rows = comparison.figures["candidates"].values()
+    names = [evil + "1", evil + "2"]
+    hostile = Comparison(
+        comparison.reference,
+        dict(zip(names, comparison.candidates.values(), strict=True)),
+        comparison.figures | {"candidates": dict(zip(names, rows, strict=True)), "run": {"notes": [evil]}},
+    )
+    text = report_page(
+        hostile, title=evil, summary=evil, models={evil: Asset(parts, (Instance(0), Instance(1)))}, settings=evil,
+        maps={evil: np.zeros((2, 2), np.uint8)}, notes=[evil], files=list(tmp_path.glob("*.txt")),
+    )  # fmt: skip
+    page = Page(text)
+    assert not page.open and not page.links and page.scripts == ["application/json"] * 2 + [None] * 2
+    assert "<script>alert" not in text
+    labels = [image["alt"] for image in page.images if image.get("src")]
+    assert f"{evil}2, view 1" in labels and f"{evil}0: base colour" in labels and evil in labels, "as they were"
+
+
+def test_a_template_that_asks_for_what_is_missing_is_a_defect():
+    with pytest.raises(UndefinedError, match="css"):
+        render("chart.svg")
 
 
 def test_a_page_runs_its_own_scripts_only(comparison, tmp_path):
