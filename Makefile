@@ -70,6 +70,7 @@ format: install
 
 docs: $(VENV)/.docs
 	$(BIN)/mi-simplify config-schema > $(VENV)/config.md && mv $(VENV)/config.md docs/config.md
+	$(BIN)/python docs/draw_architecture.py
 	$(BIN)/mkdocs build --quiet --strict
 
 dist: install

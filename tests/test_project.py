@@ -1,7 +1,9 @@
 """What stands in several files of the project is the same in all of them."""
 
+import importlib.util
 import re
 import tomllib
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
@@ -58,3 +60,29 @@ def test_issue_forms(path):
     ids = [field["id"] for field in form["body"]]
     assert len(set(ids)) == len(ids)
     assert all(field["type"] == "textarea" and field["attributes"]["label"] for field in form["body"])
+
+
+@pytest.fixture(scope="module")
+def drawing():
+    spec = importlib.util.spec_from_file_location("draw_architecture", ROOT / "docs" / "draw_architecture.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_architecture_shows_every_room_and_every_arrow_runs_down(drawing):
+    package = ROOT / "mi_simplify"
+    root = ElementTree.fromstring(drawing.svg(package))
+    tag = "{http://www.w3.org/2000/svg}"
+    top = {group.find(f"{tag}text").text: float(group.find(f"{tag}rect").get("y")) for group in root.iter(f"{tag}g")}
+    rooms = {path.stem for path in package.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
+    assert top.keys() == {name for name in rooms if not name.startswith("__")}
+    arrows = [path.find(f"{tag}title").text.split(" imports ") for path in root.iter(f"{tag}path") if len(path)]
+    assert len(arrows) > 20 and all(top[a] < top[b] for a, b in arrows)
+    assert ["cli", "jobs"] in arrows and ["cli", "errors"] not in arrows, "what follows from others is left out"
+
+
+def test_rooms_in_a_circle_have_no_floor(drawing):
+    assert drawing.reduced({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == {"a": {"b"}, "b": {"c"}, "c": set()}
+    with pytest.raises(SystemExit, match="import each other.*: a, b"):
+        drawing.sorted_rooms({"a": {"b"}, "b": {"a"}, "c": set()})
