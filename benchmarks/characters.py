@@ -124,7 +124,7 @@ def picture(folder: Path, n_frames: int = 6) -> None:
     """A contact sheet: a column for each of some frames, a row for the reference and for each candidate."""
     from PIL import Image
 
-    from mi_simplify.judging.pictures import shown
+    from mi_simplify.judging.pictures import displayed
 
     rows, images = load(folder)
     if not images:
@@ -132,7 +132,9 @@ def picture(folder: Path, n_frames: int = 6) -> None:
     _, first = np.unique(images["frames"], return_index=True)
     chosen = first[np.linspace(0, len(first) - 1, min(n_frames, len(first))).astype(int)]
     names = ["reference", *(name for name in rows if name not in (GUESS, "unpruned"))]
-    sheet = np.concatenate([np.concatenate(list(shown(images[name][chosen].astype(np.float32))), 1) for name in names])
+    sheet = np.concatenate(
+        [np.concatenate(list(displayed(images[name][chosen].astype(np.float32))), 1) for name in names]
+    )
     Image.fromarray(np.uint8(sheet)).save(folder / "frames.jpg", quality=80)
     print(folder / "frames.jpg", "rows:", ", ".join(names))
 

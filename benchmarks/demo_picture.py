@@ -18,7 +18,7 @@ MARGIN = 45  # what the view has to spare around the asset
 
 def main(folder: Path, target: Path) -> None:
     ms.ensure_variant()
-    from mi_simplify.judging.pictures import shown
+    from mi_simplify.judging.pictures import displayed
     from mi_simplify.report.portrait import portrait_view
 
     config = ms.load_config(folder / "config.yaml")
@@ -26,7 +26,7 @@ def main(folder: Path, target: Path) -> None:
     views = portrait_view(asset.bounds, resolution=SIDE + 2 * MARGIN, azimuth=25.0)
     settings = {"transport": "baked", "spp": 256, "max_depth": 6, "sky": 0.15}
     images = [ms.make_reference(a, **settings).render(views) for a in (asset, model)]
-    panels = [Image.fromarray(shown(image)[0]) for image in images]
+    panels = [Image.fromarray(displayed(image)[0]) for image in images]
     panels.append(wireframe(model, views.arrays(), panels[1]))
     panels = [panel.crop((MARGIN, MARGIN, MARGIN + SIDE, MARGIN + SIDE)) for panel in panels]
     names = [f"asset, {asset.n_triangles:,} triangles", f"result, {model.n_triangles:,} triangles", "its mesh"]

@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter
 
 import mi_simplify as ms
 from mi_simplify.judging.evaluate import Judging, compare_assets
-from mi_simplify.judging.pictures import shown
+from mi_simplify.judging.pictures import displayed
 from mi_simplify.model.asset import Asset, Material
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -75,7 +75,7 @@ def main() -> None:
     for name, row in comparison.figures["candidates"].items():
         print(f"| {name} | {row['psnr']:.2f} | {row['flip']:.4f} | {row['silhouette_error']:.4f} |")
     rows = [comparison.reference, *comparison.candidates.values()]
-    sheet = np.concatenate([np.concatenate(list(shown(images[:4])), axis=1) for images in rows])
+    sheet = np.concatenate([np.concatenate(list(displayed(images[:4])), axis=1) for images in rows])
     name = args.asset.removeprefix("sample:").rpartition("/")[2].partition(".")[0]
     Image.fromarray(sheet).save(args.picture or ROOT / "docs" / "images" / f"glossy-{name}.jpg", quality=80)
 

@@ -100,14 +100,14 @@ def as_in_the_paper(asset: ms.Asset, models: dict[str, ms.Model], picture: Path)
     from PIL import Image
 
     from mi_simplify.judging.metrics import compare
-    from mi_simplify.judging.pictures import shown
+    from mi_simplify.judging.pictures import displayed
     from mi_simplify.scenes.views import goniometer
 
     frame = ms.Frame.around(asset.bounds)
     views = goniometer(16, np.random.default_rng(20_26), width=512, height=512)
     assets = [asset, *(model.as_asset() for model in models.values())]
     images = [ms.make_reference(frame.normalised(a), transport="direct", spp=64).render(views) for a in assets]
-    sheet = np.concatenate([np.concatenate(list(shown(image[:4])), 1) for image in images])
+    sheet = np.concatenate([np.concatenate(list(displayed(image[:4])), 1) for image in images])
     Image.fromarray(sheet).resize((sheet.shape[1] // 2, sheet.shape[0] // 2)).save(picture)
     return {name: compare(images[0], image) for name, image in zip(models, images[1:], strict=True)}
 
@@ -142,9 +142,11 @@ def write_page(records: dict[str, dict], page: Path) -> None:
             continue
         record = records[case.name]
         rows = record["figures"]
-        cells = [shown([rows[name][key] for key in FIGURES]) for name in ("quadrics, baked", "first guess", "result")]
+        cells = [
+            displayed([rows[name][key] for key in FIGURES]) for name in ("quadrics, baked", "first guess", "result")
+        ]
         lines.append(
-            f"| {case.name} | {shown(case.targets)} | {cells[0]} | {cells[1]} | **{cells[2]}** "
+            f"| {case.name} | {displayed(case.targets)} | {cells[0]} | {cells[1]} | **{cells[2]}** "
             f"| {gain(rows, 'quadrics, baked')} | {gain(rows, 'first guess')} | {record['seconds']:.0f} |"
         )
     for case in CASES:
@@ -164,7 +166,7 @@ def gain(rows: dict[str, dict], name: str) -> str:
     )
 
 
-def shown(row) -> str:
+def displayed(row) -> str:
     return " / ".join("–" if x is None else f"{x:.1f}" if x > 1 else f"{x:.4f}".lstrip("0") for x in row)
 
 
@@ -190,7 +192,7 @@ def main() -> None:
         if (folder / "judged.json").exists():
             records[case.name] = json.loads((folder / "judged.json").read_text())
             for name, row in records[case.name]["figures"].items():
-                print(f"  {name:16} {shown([row[key] for key in FIGURES])}")
+                print(f"  {name:16} {displayed([row[key] for key in FIGURES])}")
             picture = Image.open(folder / "judge.png")
             picture.save(ROOT / "docs" / "images" / f"results-{slug(case.name)}.jpg", quality=80)
     write_page(records, ROOT / "docs" / "results.md")

@@ -98,11 +98,11 @@ def photographs(asset: str, folder: Path, case: str, environment: str | None) ->
 def strip(folder: Path) -> None:
     """Reference, first guess and result of two held-out views as one JPEG."""
     from mi_simplify.judging.comparison import load_comparison
-    from mi_simplify.judging.pictures import shown
+    from mi_simplify.judging.pictures import displayed
 
     comparison = load_comparison(folder)
     images = [comparison.reference, comparison.candidates["first guess"], comparison.candidates["result"]]
-    rows = [np.concatenate([shown(x[k : k + 1])[0] for x in images], axis=1) for k in (0, 1)]
+    rows = [np.concatenate([displayed(x[k : k + 1])[0] for x in images], axis=1) for k in (0, 1)]
     Image.fromarray(np.concatenate(rows, axis=1)).save(folder.with_suffix(".jpg"), quality=85)
 
 

@@ -18,7 +18,7 @@ def prepare(variant: str | None) -> None:
     ensure_variant(variant)
 
 
-def shown(quiet: bool) -> Any:
+def display(quiet: bool) -> Any:
     """
     The display that fits: none, a bar on a terminal, plain lines elsewhere.
     """

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from .console import prepare, shown
+from .console import display, prepare
 from .options import FRAMES, OVERWRITE, QUIET, VARIANT, animation, combined
 
 _JUDGED = combined(
@@ -52,7 +52,7 @@ def _judge(reference, candidates, out, views, resolution, spp, seed, frames, var
     from ..jobs.job import evaluate_job, figure_rows
     from ..judging.evaluate import Judging
 
-    with shown(quiet) as progress:
+    with display(quiet) as progress:
         figures = evaluate_job(
             reference, candidates, out, progress,
             judging=Judging(views, resolution, spp, seed), animation=animation(frames), variant=variant,

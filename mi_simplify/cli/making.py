@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from .console import prepare, shown
+from .console import display, prepare
 from .options import (
     DRY_RUN,
     FRAMES,
@@ -123,7 +123,7 @@ def lod(asset, triangles, out, config, preset, settings, threshold, msft_lod, us
     from ..jobs.chain import lod_job
 
     extras = [name for name, wanted in (("msft_lod", msft_lod), ("usd", usd)) if wanted]
-    with shown(quiet) as progress:
+    with display(quiet) as progress:
         chain = lod_job(
             configure, budgets, out or default_folder(asset.removeprefix("sample:")), progress,
             threshold=threshold, extras=extras, overwrite=overwrite,
@@ -152,7 +152,7 @@ def _run(
     config, out, overrides, *,
     preset, variant, fixed_shape, normal_only, skip, memory_limit, tensorboard, dry_run, overwrite, resume, quiet,
 ) -> None:  # fmt: skip
-    from ..config import load_config, without
+    from ..config import load_config, with_fixed
     from ..machine.memory import limited, parse_size
 
     chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
@@ -161,13 +161,13 @@ def _run(
     if normal_only:
         chosen["latent"] = {"optimize": ["normal"]}
     names = [name.strip() for text in skip for name in text.split(",")] + ["shape"] * fixed_shape
-    settings = without(load_config(config, [*overrides, chosen], preset), names)
+    settings = with_fixed(load_config(config, [*overrides, chosen], preset), names)
     prepare(settings.variant)
     from ..jobs.forecast import forecast
     from ..jobs.job import run_job
 
     job: Callable[..., Any] = forecast if dry_run else run_job
-    with limited(parse_size(memory_limit) if memory_limit else None), shown(quiet) as progress:
+    with limited(parse_size(memory_limit) if memory_limit else None), display(quiet) as progress:
         result = job(settings, out, progress, overwrite=overwrite, resume=resume)
     if dry_run or not quiet:
         print(result.summary())
@@ -189,7 +189,7 @@ def bake(reference, lowpoly, keep_uv, out, atlas_size, variant, overwrite, quiet
     prepare(variant)
     from ..jobs.job import bake_job
 
-    with shown(quiet) as progress:
+    with display(quiet) as progress:
         files = bake_job(
             reference, lowpoly, out or default_folder(lowpoly), progress,
             keep_uv=keep_uv, atlas_size=atlas_size, variant=variant, overwrite=overwrite,
@@ -219,7 +219,7 @@ def forest(config, out, instances, environment, gpu_instancing, overwrite, quiet
     from ..jobs.forest import render_forest, summary
 
     folder = out or default_folder(config)
-    with shown(quiet) as progress:
+    with display(quiet) as progress:
         figures = render_forest(wanted, folder, progress, gpu_instancing=gpu_instancing, overwrite=overwrite)
     if not quiet:
         print(summary(figures, folder))

@@ -2,14 +2,24 @@
 What a run does: the schema with all defaults, the presets, and the YAML around them.
 """
 
+from .documentation import json_schema as json_schema
+from .documentation import markdown as markdown
 from .layers import SAMPLE_PREFIX as SAMPLE_PREFIX
 from .layers import dump as dump
 from .layers import load_config as load_config
 from .presets import PRESETS as PRESETS
-from .quantities import without as without
-from .reference import json_schema as json_schema
-from .reference import markdown as markdown
+from .quantities import with_fixed as with_fixed
 from .schema import Config as Config
 from .section import code_of as code_of
 
-__all__ = ["PRESETS", "SAMPLE_PREFIX", "Config", "code_of", "dump", "json_schema", "load_config", "markdown", "without"]
+__all__ = [
+    "PRESETS",
+    "SAMPLE_PREFIX",
+    "Config",
+    "code_of",
+    "dump",
+    "json_schema",
+    "load_config",
+    "markdown",
+    "with_fixed",
+]

@@ -11,7 +11,7 @@ from pydantic import Field
 from .section import Section, Triple
 
 
-class Ambient(Section):
+class AmbientSettings(Section):
     """Light from everywhere, besides the one point light of a view."""
 
     kind: Literal["auto", "none", "color", "environment"] = Field(

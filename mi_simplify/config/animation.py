@@ -11,7 +11,7 @@ from pydantic import Field
 from .section import Section
 
 
-class Animation(Section):
+class AnimationSettings(Section):
     """Characters: assets with a skeleton and an animation. Others do not read it."""
 
     frames: str | None = Field(

@@ -15,7 +15,7 @@ from .problems import describe
 from .section import SAMPLE_PREFIX, Section, Triple
 
 
-class Plant(Section):
+class PlantSettings(Section):
     """A plant and what stands for it."""
 
     original: str = Field(min_length=1, description="Model file or `sample:NAME`.")
@@ -26,10 +26,10 @@ def _as_tuple(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
 
-class Forest(Section):
+class ForestSettings(Section):
     """Where the plants stand, and how the picture is taken."""
 
-    plants: Annotated[tuple[Plant, ...], BeforeValidator(_as_tuple)] = Field(
+    plants: Annotated[tuple[PlantSettings, ...], BeforeValidator(_as_tuple)] = Field(
         min_length=1, description="Species; every copy is one of them at random."
     )
     instances: int = Field(3000, ge=1, le=1_000_000, description="How many copies.")
@@ -47,7 +47,7 @@ class Forest(Section):
     max_depth: int = Field(6, ge=2, le=1024, description="Longest light path [edges].")
 
 
-def load_forest(path: str | Path) -> Forest:
+def load_forest(path: str | Path) -> ForestSettings:
     """
     Read a forest from YAML; relative paths in it are relative to its folder.
 
@@ -58,14 +58,16 @@ def load_forest(path: str | Path) -> Forest:
     """
     path = Path(path)
     try:
-        forest = Forest.model_validate(read_yaml(path))
+        forest = ForestSettings.model_validate(read_yaml(path))
     except ValidationError as error:
-        raise ConfigError(describe(error, Forest)) from None
+        raise ConfigError(describe(error, ForestSettings)) from None
     folder = path.resolve().parent
 
     def found(name: str) -> str:
         return name if name.startswith(SAMPLE_PREFIX) else str(folder / Path(name).expanduser())
 
-    plants = tuple(Plant(original=found(p.original), approximation=found(p.approximation)) for p in forest.plants)
+    plants = tuple(
+        PlantSettings(original=found(p.original), approximation=found(p.approximation)) for p in forest.plants
+    )
     environment = None if forest.environment is None else found(forest.environment)
     return forest.model_copy(update={"plants": plants, "environment": environment})

@@ -11,7 +11,7 @@ from pydantic import Field
 from .section import FilePath, Section
 
 
-class Images(Section):
+class ImagesSettings(Section):
     """A `transforms.json` with images and cameras as the asset."""
 
     light: Literal["auto", "point", "unlit", "environment"] = Field(

@@ -9,7 +9,7 @@ from pydantic import Field
 from .section import Box, FilePath, Section, Triple
 
 
-class Implicit(Section):
+class ImplicitSettings(Section):
     """An implicit surface as the asset; its own code is run, see How it works."""
 
     material: FilePath | None = Field(

@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from .section import FilePath, Section, as_list
 
 
-class Initial(Section):
+class InitialSettings(Section):
     """The first guess."""
 
     kind: Literal["decimate", "cards", "sphere", "mesh"] = Field(
@@ -81,7 +81,7 @@ class Initial(Section):
         return data
 
     @model_validator(mode="after")
-    def _mesh_is_named(self) -> Initial:
+    def _mesh_is_named(self) -> InitialSettings:
         if (self.kind == "mesh") != (self.mesh is not None):
             raise ValueError("`kind: mesh` and `mesh: FILE` go together, only one of them is set")
         if self.tessellations and max(self.tessellations) != self.subdivisions:

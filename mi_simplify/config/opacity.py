@@ -11,7 +11,7 @@ from pydantic import Field
 from .section import Section
 
 
-class Opacity(Section):
+class OpacitySettings(Section):
     """Transparency of the small model; opaque ones ignore all of it."""
 
     layers: int = Field(

@@ -14,7 +14,7 @@ Pixels = Annotated[int, Field(ge=8, le=8192)]
 Resolutions = Annotated[tuple[Pixels, ...], BeforeValidator(as_list), AfterValidator(not_empty)]
 
 
-class Rates(Section):
+class RatesSettings(Section):
     """Learning rates at the start."""
 
     vertices: float = Field(0.001, ge=0, description="Vertex positions: the typical step.")
@@ -27,14 +27,14 @@ class Rates(Section):
     ambient: float = Field(0.01, ge=0, description="Ambient light.")
 
 
-class LargeSteps(Section):
+class LargeStepsSettings(Section):
     """Vertices through the diffusion of Nicolet et al. 2021."""
 
     enabled: bool = Field(True, description="Precondition vertex gradients by (I + lambda L); off: plain Adam.")
     lambda_: float = Field(0.3, ge=0, description="Diffusion strength: 0.2 to 0.5 on a decimated mesh, 19 on a sphere.")
 
 
-class Optimizer(Section):
+class OptimizerSettings(Section):
     """The optimisation loop."""
 
     steps: int = Field(600, ge=0, description="Number of steps; 0 exports the first guess.")
@@ -58,12 +58,12 @@ class Optimizer(Section):
         description="Shade every sample, or only one in each pixel: more samples then make outlines smooth, but not "
         "what textures and normals make of a pixel.",
     )
-    rates: Rates = Rates()
+    rates: RatesSettings = RatesSettings()
     decay: float = Field(0.05, gt=0, le=1, description="Factor by which the rates fall over the whole run.")
-    large_steps: LargeSteps = LargeSteps()
+    large_steps: LargeStepsSettings = LargeStepsSettings()
 
 
-class Laplacian(Section):
+class LaplacianSettings(Section):
     """The mesh regulariser."""
 
     weight: float = Field(0.25, ge=0, description="Share of the image loss at the start; 0: off.")
@@ -71,11 +71,11 @@ class Laplacian(Section):
     decay_to: float = Field(0.02, ge=0, le=1, description="Factor by which the weight falls over the whole run.")
 
 
-class Loss(Section):
+class LossSettings(Section):
     """What is minimised."""
 
     image: Literal["log_l1", "l1", "l2", "log_l2", "smape", "relative_l2"] = Field(
         "log_l1", description="Image loss; `log_l1` compares tone-mapped log(x + 1)."
     )
     coverage: float = Field(3.0, ge=0, description="Weight of the coverage (silhouette) term.")
-    laplacian: Laplacian = Laplacian()
+    laplacian: LaplacianSettings = LaplacianSettings()

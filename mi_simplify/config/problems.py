@@ -64,17 +64,17 @@ def describe(error: ValidationError, schema: type[BaseModel] = Config) -> str:
         elif kind == "missing":
             lines.append(f"{path}: missing, it has no default")
         elif kind in ("model_type", "model_attributes_type"):
-            lines.append(f"{path}: is a section, expected keys below it, got {_shown(given)}")
+            lines.append(f"{path}: is a section, expected keys below it, got {_quoted(given)}")
         elif kind == "value_error":
             lines.append(f"{path}: {problem['ctx']['error']}")
         else:
             expected = re.sub(r"^\w+ should", "should", problem["msg"])
-            lines.append(f"{path}: {expected}, got {_shown(given)}")
+            lines.append(f"{path}: {expected}, got {_quoted(given)}")
     more = f"; and {len(lines) - 3} more" if len(lines) > 3 else ""
     return "; ".join(lines[:3]) + more
 
 
-def _shown(value: Any) -> str:
+def _quoted(value: Any) -> str:
     return _cut(repr(value))
 
 

@@ -19,7 +19,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 
 
-def without(config: Config, names: Iterable[str]) -> Config:
+def with_fixed(config: Config, names: Iterable[str]) -> Config:
     """
     The configuration with some quantities taken off ``latent.optimize``; these stay as the first guess has them.
 

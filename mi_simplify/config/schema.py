@@ -11,13 +11,13 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from .ambient import Ambient
-from .animation import Animation
-from .images import Images
-from .implicit import Implicit
-from .initial import Initial
-from .opacity import Opacity
-from .optimizer import Loss, Optimizer
+from .ambient import AmbientSettings
+from .animation import AnimationSettings
+from .images import ImagesSettings
+from .implicit import ImplicitSettings
+from .initial import InitialSettings
+from .opacity import OpacitySettings
+from .optimizer import LossSettings, OptimizerSettings
 from .section import FilePath as FilePath
 from .section import PathMark as PathMark
 from .section import Section as Section
@@ -40,7 +40,7 @@ Format = Literal["glb", "obj", "usd"]
 Formats = Annotated[tuple[Format, ...], BeforeValidator(as_list), AfterValidator(not_empty), AfterValidator(distinct)]
 
 
-class Reference(Section):
+class ReferenceSettings(Section):
     """How the target images are rendered."""
 
     transport: Literal["direct", "baked", "matched"] = Field(
@@ -70,14 +70,14 @@ class Reference(Section):
     )
 
     @model_validator(mode="after")
-    def _lights_are_baked(self) -> Reference:
+    def _lights_are_baked(self) -> ReferenceSettings:
         for name, given in (("environment", self.environment is not None), ("scene_lights", self.scene_lights)):
             if given and self.transport != "baked":
                 raise ValueError(f"`{name}` lights the reference alone, so it needs `transport: baked`")
         return self
 
 
-class Latent(Section):
+class LatentSettings(Section):
     """What is optimised, and how it is shaded."""
 
     optimize: Quantities = Field(
@@ -89,7 +89,7 @@ class Latent(Section):
     shading: Literal["gltf", "paper"] = Field(
         "gltf", description="`gltf`: as glTF viewers shade. `paper`: Lambert plus specular, without energy exchange."
     )
-    ambient: Ambient = Ambient()
+    ambient: AmbientSettings = AmbientSettings()
     mips: Literal["none", "derived", "custom"] = Field(
         "none",
         description="Coarser levels of the textures, read by the size of a pixel: none; `derived` by averaging, as "
@@ -97,7 +97,7 @@ class Latent(Section):
     )
 
 
-class Light(Section):
+class LightSettings(Section):
     """The one point light of a view."""
 
     exponent: float = Field(1.0, ge=0, description="Directions follow cos^exponent around the camera's; 0: evenly.")
@@ -111,19 +111,19 @@ class Light(Section):
     )
 
 
-class Views(Section):
+class ViewsSettings(Section):
     """Random cameras and lights."""
 
     distance: float = Field(3.5, gt=0, description="Camera distance from the centre.")
     jitter: float = Field(0.25, ge=0, description="Half side of the box around the centre that cameras look into.")
     fov: float = Field(45.0, gt=0, lt=180, description="Field of view [degrees].")
-    light: Light = Light()
+    light: LightSettings = LightSettings()
     background: Literal["random", "black"] = Field(
         "random", description="`random`: one random colour per pixel, the same behind both images."
     )
 
 
-class Evaluation(Section):
+class EvaluationSettings(Section):
     """Held-out views: never fitted, rendered for figures and pictures."""
 
     views: int = Field(8, ge=1, le=1024, description="Number of views.")
@@ -140,7 +140,7 @@ class Evaluation(Section):
     )
 
 
-class Export(Section):
+class ExportSettings(Section):
     """What is written."""
 
     formats: Formats = Field(("glb", "obj", "usd"), description="Model files to write.")
@@ -164,18 +164,18 @@ class Config(Section):
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] | None = Field(
         None, description="Mitsuba variant; none takes the environment's `MI_SIMPLIFY_VARIANT`, else `llvm_ad_rgb`."
     )
-    reference: Reference = Reference()
-    implicit: Implicit = Implicit()
-    images: Images = Images()
-    initial: Initial = Initial()
-    latent: Latent = Latent()
-    opacity: Opacity = Opacity()
-    views: Views = Views()
-    animation: Animation = Animation()
-    optimizer: Optimizer = Optimizer()
-    loss: Loss = Loss()
-    evaluation: Evaluation = Evaluation()
-    export: Export = Export()
+    reference: ReferenceSettings = ReferenceSettings()
+    implicit: ImplicitSettings = ImplicitSettings()
+    images: ImagesSettings = ImagesSettings()
+    initial: InitialSettings = InitialSettings()
+    latent: LatentSettings = LatentSettings()
+    opacity: OpacitySettings = OpacitySettings()
+    views: ViewsSettings = ViewsSettings()
+    animation: AnimationSettings = AnimationSettings()
+    optimizer: OptimizerSettings = OptimizerSettings()
+    loss: LossSettings = LossSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
+    export: ExportSettings = ExportSettings()
 
     @model_validator(mode="after")
     def _vertex_sets_are_seen(self) -> Config:

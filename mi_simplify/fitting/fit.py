@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..config import Config
-from ..config.schema import Views as ViewSettings
+from ..config.schema import ViewsSettings
 from ..integrators.deferred import DeferredRenderer
 from ..latent.latent import Latent
 from ..latent.surface import Surface
@@ -66,7 +66,7 @@ class Fit:
             edge_fraction=0.05 if transparent else 0.15,
         )  # fmt: skip
         self.latent.textures.cutoff = model.alpha_cutoff
-        self.beyond = 0.0
+        self.unpeeled = 0.0
         """Share of what :meth:`judge` saw last that lies behind more layers than were looked at."""
         large_steps = config.optimizer.large_steps
         diffusion = large_steps.lambda_ if large_steps.enabled else 0.0
@@ -165,21 +165,21 @@ class Fit:
 
     def _state(self, views: Views) -> tuple[Model, Surface, Textures]:
         positions, surface = self._moved(views)
-        return self.latent.shown(positions.numpy(), surface), surface, self.latent.textures
+        return self.latent.as_rendered(positions.numpy(), surface), surface, self.latent.textures
 
     def _look(self, views: Views, seed: int = 1) -> np.ndarray:
         """The current state from some views, shape (B, H, W, 4), without what the reference alone computes."""
         out = np.empty((len(views), views.height, views.width, 4), np.float32)
         self._cut(_STEP)
-        beyond = 0.0
+        unpeeled = 0.0
         for index, part in views.by_shape():
             _, surface = self._moved(part)
             with dr.suspend_grad():
                 lit, opaque_seed = part.under(self.ambient.value), dr.opaque(mi.UInt32, seed)
                 frame = self.renderer.render(surface, self.latent.textures, lit, spp=16, seed=opaque_seed)
             out[index] = frame.images()
-            beyond += 0.0 if frame.beyond is None else float(dr.sum(frame.beyond)[0])
-        self.beyond = beyond / max(float(out[..., 3].sum()), 1e-12)
+            unpeeled += 0.0 if frame.unpeeled is None else float(dr.sum(frame.unpeeled)[0])
+        self.unpeeled = unpeeled / max(float(out[..., 3].sum()), 1e-12)
         return out
 
     def preview(self) -> tuple[np.ndarray, np.ndarray]:
@@ -244,12 +244,12 @@ class Fit:
         if not np.isfinite(self._laplacian_start or 0.0):
             self._laplacian_start = None
 
-    def trouble(self) -> str | None:
+    def not_finite(self) -> str | None:
         """
         Which of what is optimised is no longer finite, None where all is well; waits for the device.
         """
-        trouble = self.shape.trouble() or (None if self.texels.is_finite() else "textures")
-        return trouble or (None if self.ambient.is_finite() else "ambient light")
+        not_finite = self.shape.not_finite() or (None if self.texels.is_finite() else "textures")
+        return not_finite or (None if self.ambient.is_finite() else "ambient light")
 
     def state(self) -> dict:
         """
@@ -271,7 +271,7 @@ class Fit:
         self._laplacian_start, self.caution = state["laplacian_start"], state["caution"]
 
 
-def _by_chance(settings: ViewSettings) -> Callable[[int, np.random.Generator, int], list[Views]]:
+def _by_chance(settings: ViewsSettings) -> Callable[[int, np.random.Generator, int], list[Views]]:
     """Views anywhere around the origin, as ``ViewPool`` draws them."""
     light = settings.light
 

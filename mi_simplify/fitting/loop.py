@@ -76,12 +76,12 @@ class Run:
         Returns
         -------
         dict
-            ``held_out_loss`` and ``psnr`` [dB]; ``beyond`` where something lies behind all layers, see ``Fit.beyond``.
+            ``held_out_loss`` and ``psnr`` [dB]; ``unpeeled`` where something lies behind all layers, see ``Fit.unpeeled``.
         """
         loss, psnr = self.fit.judge()
         if loss < self.least:
             self.least, self.best, self.best_step = loss, self.fit.parameters(), self.done
-        return {"held_out_loss": loss, "psnr": psnr, **({"beyond": self.fit.beyond} if self.fit.beyond else {})}
+        return {"held_out_loss": loss, "psnr": psnr, **({"unpeeled": self.fit.unpeeled} if self.fit.unpeeled else {})}
 
     def step(self) -> dict | None:
         """
@@ -99,9 +99,9 @@ class Run:
         if not judged and (self.done - 1) % _LOG_EVERY:
             return None
         value = float(loss[0])
-        trouble = self.fit.trouble() if math.isfinite(value) else "loss"
-        if trouble is not None:
-            self._set_back(trouble)
+        not_finite = self.fit.not_finite() if math.isfinite(value) else "loss"
+        if not_finite is not None:
+            self._set_back(not_finite)
             return None
         record = {"step": self.done, "loss": value, "seconds": round(self.seconds, 3)}
         self.records.append(record)
@@ -179,16 +179,16 @@ def fit(
         log.warning("no step of the fit was better on held-out views than the first guess, which is kept as it was")
     elif run.best_step < run.n_steps:
         log.info("the model of step %d of %d is kept: it was the best on held-out views", run.best_step, run.n_steps)
-    if run.fit.beyond > _MUCH_BEYOND:
+    if run.fit.unpeeled > _MUCH_UNPEELED:
         log.warning(
             "%.1f %% of what is seen lies behind more than %d transparent surfaces, which is as far as the fit looks; "
-            "raise opacity.layers", 100 * run.fit.beyond, run.fit.renderer.layers,
+            "raise opacity.layers", 100 * run.fit.unpeeled, run.fit.renderer.layers,
         )  # fmt: skip
     return run.result()
 
 
 #: Share of what lies beyond the last layer from which it is worth a warning.
-_MUCH_BEYOND = 0.01
+_MUCH_UNPEELED = 0.01
 
 #: What a state holds beside the fit's own.
 _KEPT = ("done", "records", "best", "best_step", "least", "setbacks")

@@ -50,7 +50,7 @@ class ViewPool:
         residual: Reference | None = None,
     ):
         self.reference, self.draw, self.capacity, self.rng, self.residual = reference, draw, capacity, rng, residual
-        self.n_rendered, self._told = 0, False
+        self.n_rendered, self._warned = 0, False
         self._views: list[dict[str, np.ndarray]] = []
         self._images: list[np.ndarray] = []
         self.resolution = 0
@@ -96,10 +96,10 @@ class ViewPool:
         unknown = np.isnan(images).any(axis=3)
         if not unknown.any():
             return images
-        if not self._told:
+        if not self._warned:
             share = 100 * unknown.mean()
             log.warning("%.2g %% of the pixels of the reference are NaN and left out of the fit", share)
-            self._told = True
+            self._warned = True
         images = np.where(unknown[..., None], 0, images)
         images[..., :4][unknown] = np.nan
         return images

@@ -16,6 +16,7 @@ from PIL import Image
 
 from ..errors import AssetError, UserError
 from ..machine import memory
+from ..model.color import srgb_to_linear
 
 #: Images with more pixels than this are refused before they are decoded.
 MAX_PIXELS = 16384**2
@@ -54,7 +55,7 @@ def decode_image(data: bytes, name: str, model: str) -> np.ndarray:
         It declares more than memory holds.
     """
     check_image(data, name, model)
-    with _told(name, model):
+    with _as_asset_errors(name, model):
         if _is_for_mitsuba(data):
             return _decode_with_mitsuba(data)
         with _opened(data) as image:
@@ -65,7 +66,7 @@ def check_image(data: bytes, name: str, model: str) -> tuple[int, int]:
     """
     Width and height that an image declares in its header, checked; parameters and errors as of :func:`decode_image`.
     """
-    with _told(name, model):
+    with _as_asset_errors(name, model):
         if _is_for_mitsuba(data):
             size, least = _header_size(data), 32
         else:
@@ -76,7 +77,7 @@ def check_image(data: bytes, name: str, model: str) -> tuple[int, int]:
 
 
 @contextlib.contextmanager
-def _told(name: str, model: str) -> Iterator[None]:
+def _as_asset_errors(name: str, model: str) -> Iterator[None]:
     """One line for what decoders raise, which is whatever they like, Pillow's asserts included."""
     try:
         yield
@@ -190,14 +191,6 @@ def _pixels_of(image: Image.Image) -> np.ndarray:
         image = image.convert({"1": "L", "La": "LA", "RGBa": "RGBA"}.get(image.mode, "RGB"))
     pixels = np.asarray(image)
     return pixels[..., None] if pixels.ndim == 2 else pixels
-
-
-def srgb_to_linear(x: np.ndarray) -> np.ndarray:
-    """
-    Decode sRGB values in [0, 1] (IEC 61966-2-1), float32.
-    """
-    x = np.asarray(x, np.float32)
-    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def to_float(pixels: np.ndarray, *, srgb: bool) -> np.ndarray:

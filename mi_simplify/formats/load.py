@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import AssetError, MemoryLimitError, UserError
 from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
-from .resources import shown
+from .resources import printable
 from .validate import check_asset
 
 _READERS = {
@@ -72,16 +72,16 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
         with np.errstate(all="ignore"):  # what is not finite in the end is found by the check
             asset = check_asset(_reader(suffix)(path), path.name)
     except UserError as error:
-        line = shown(str(error), 600)  # names in a file may hold anything
+        line = printable(str(error), 600)  # names in a file may hold anything
         if line == str(error):
             raise
         raise type(error)(line) from error
     except MemoryError as error:
         raise MemoryLimitError(f"{path.name}: it needs more memory than there is; simplify the file first") from error
     except _MALFORMED as error:
-        what = shown(f"{type(error).__name__}: {error}".splitlines()[0], 200)
+        what = printable(f"{type(error).__name__}: {error}".splitlines()[0], 200)
         raise AssetError(f"{path.name}: the file is malformed and cannot be read ({what}); export it again") from error
-    notes = tuple(shown(note, 400) for note in asset.notes)
+    notes = tuple(printable(note, 400) for note in asset.notes)
     return replace(asset, name=path.stem, source=str(path), notes=notes)
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from ..errors import MeshError
 from ..machine import memory
 from ..model.asset import Asset, Instance, Material, Part
-from .images import constant, join_channels, rgb, srgb_to_linear, to_float
+from ..model.color import srgb_to_linear
+from .images import constant, join_channels, rgb, to_float
 from .polygons import fan, split_corners, unique_rows
 from .resources import Resources, read_bytes
 from .validate import check_indices

@@ -84,11 +84,11 @@ class Resources:
         for path in found:
             if self.holds(path):
                 if path == folder / beside and beside != slashed:
-                    self.note(f"{what} '{shown(uri)}' was taken from '{path.name}' beside the model")
+                    self.note(f"{what} '{printable(uri)}' was taken from '{path.name}' beside the model")
                 return path
         if found:
             raise self.outside(uri, what)
-        raise MissingFile(f"{self.model.name}: {what} '{shown(uri)}' does not exist; put it into {folder}")
+        raise MissingFile(f"{self.model.name}: {what} '{printable(uri)}' does not exist; put it into {folder}")
 
     def holds(self, path: Path) -> bool:
         """
@@ -102,7 +102,7 @@ class Resources:
         The error for a file that lies outside the model's folder.
         """
         return AssetError(
-            f"{self.model.name}: {what} '{shown(uri)}' lies outside the model's folder and is not read; put a copy "
+            f"{self.model.name}: {what} '{printable(uri)}' lies outside the model's folder and is not read; put a copy "
             f"beside the model, or let the environment variable {ROOT} name a folder that holds both"
         )
 
@@ -111,7 +111,9 @@ class Resources:
         As :meth:`find` for a percent-encoded relative reference (glTF).
         """
         if len(uri.partition(":")[0]) > 1 and "://" in uri:
-            raise AssetError(f"{self.model.name}: {what} '{shown(uri)}' is not a file; download it beside the model")
+            raise AssetError(
+                f"{self.model.name}: {what} '{printable(uri)}' is not a file; download it beside the model"
+            )
         plain = self.model.parent / uri
         return plain if is_file(plain) and self.holds(plain) else self.find(urllib.parse.unquote(uri), what)
 
@@ -134,19 +136,19 @@ class Resources:
         if key not in self._images:
             self._images[key] = decode_image(data(), name, self.model.name)
         image = self._images[key]
-        require_pixels(image.shape[0], image.shape[1], f"{self.model.name}: texture '{shown(name)}'")
+        require_pixels(image.shape[0], image.shape[1], f"{self.model.name}: texture '{printable(name)}'")
         return image
 
     def note(self, line: str) -> None:
         """
         Add a line to the notes, once.
         """
-        line = shown(line, 400)
+        line = printable(line, 400)
         if line not in self.notes:
             self.notes.append(line)
 
 
-def shown(text: str, longest: int = 120) -> str:
+def printable(text: str, longest: int = 120) -> str:
     """
     What a file says, as a message shows it: of one line and not too long.
     """

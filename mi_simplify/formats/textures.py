@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
+from ..model.color import linear_to_srgb
 from ..model.emission import emission_of
 from ..model.model import Model
 
@@ -133,22 +134,6 @@ def encode_normal(normal: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(n, axis=-1, keepdims=True)
     n = np.where(length > 1e-6, n / np.maximum(length, 1e-6), [0.0, 0.0, 1.0])
     return to_8bit(n * 0.5 + 0.5)
-
-
-def linear_to_srgb(x: np.ndarray) -> np.ndarray:
-    """
-    The sRGB transfer curve (IEC 61966-2-1) of linear values clipped to [0, 1].
-    """
-    x = np.clip(np.asarray(x, np.float64), 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
-def srgb_to_linear(x: np.ndarray) -> np.ndarray:
-    """
-    Inverse of :func:`linear_to_srgb`.
-    """
-    x = np.clip(np.asarray(x, np.float64), 0.0, 1.0)
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
 def to_8bit(x: np.ndarray) -> np.ndarray:

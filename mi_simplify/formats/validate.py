@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import MeshError
 from ..machine import memory
 from ..model.asset import FEWER_INSTANCES, Asset, Material, Part
+from ..model.topology import area_vectors
 from .polygons import smooth_normals
 
 #: Coordinates beyond this overflow when squared in float32.
@@ -99,7 +100,7 @@ def _check_part(part: Part, model: str) -> None:
 
 def _area(part: Part, to_world: np.ndarray) -> float:
     p = (part.vertices @ to_world[:3, :3].T)[part.faces]
-    return float(np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1).sum())
+    return float(np.linalg.norm(area_vectors(p), axis=1).sum())
 
 
 def _mend_material(material: Material, notes: list[str]) -> Material:

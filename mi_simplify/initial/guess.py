@@ -17,6 +17,7 @@ from ..model.mesh import Mesh
 from ..model.mips import filtered_levels, halved
 from ..model.model import Displacement, Model, tessellated
 from ..model.tessellation import Tessellation
+from ..model.topology import area_vectors
 from .bake.baker import bake
 from .cards.cards import cards, is_aggregate
 from .closest import ClosestPoints
@@ -112,7 +113,7 @@ def first_guess(
     notes = list(asset.notes)
     if kind == "cards":
         model, more = cards(asset, _budget(triangles), atlas_size=atlas_size, samples=samples, output=output)
-        return model, _told(notes + more)
+        return model, _logged(notes + more)
     if kind == "mesh":
         if init is None:
             raise MeshError("a start from a mesh needs one: name the file")
@@ -165,7 +166,7 @@ def first_guess(
         if oversample > 1:
             images = filtered_levels(**images)[oversample.bit_length() - 2]
         model = replace(model, alpha_mode=mode, alpha_cutoff=cutoff, **images)
-    return model, _told(notes)
+    return model, _logged(notes)
 
 
 def _budget(triangles: int | None) -> int:
@@ -174,7 +175,7 @@ def _budget(triangles: int | None) -> int:
     return triangles
 
 
-def _told(notes: list[str]) -> list[str]:
+def _logged(notes: list[str]) -> list[str]:
     for line in notes:
         log.info("first guess: %s", line)
     return notes
@@ -275,7 +276,7 @@ def mean_material(asset: Asset) -> tuple[np.ndarray, np.ndarray]:
     for instance in asset.instances:
         part = asset.parts[instance.part]
         c = (part.vertices @ instance.to_world[:3, :3].T)[part.faces]
-        area = np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum()
+        area = np.linalg.norm(area_vectors(c), axis=1).sum()
         tint = 1.0 if part.colors is None else part.colors.mean(0, dtype=np.float64)
         base += area * part.material.base_color.mean((0, 1), dtype=np.float64) * tint
         specular += area * part.material.specular.mean((0, 1), dtype=np.float64)

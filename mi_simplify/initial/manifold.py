@@ -8,6 +8,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ..model.topology import area_vectors
+
 
 def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
@@ -78,7 +80,7 @@ def winding_flips(positions: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray,
     flip = as_is > turned
 
     corners = positions[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = np.linalg.norm(area_vectors(corners), axis=1)
     minority = np.bincount(sheet, area * np.where(flip, 1, -1), n_sheets) > 0
     flip ^= minority[sheet]
     flip &= ~twisted

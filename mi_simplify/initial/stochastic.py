@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import MeshError
 from ..model.asset import Asset, Instance, Material, Part
+from ..model.topology import area_vectors
 from .guess import mean_material
 
 
@@ -71,7 +72,7 @@ def _within(counts: np.ndarray, budget: int) -> np.ndarray:
 
 def _area(part: Part, to_world: np.ndarray) -> float:
     c = (part.vertices @ to_world[:3, :3].T)[part.faces]
-    return float(np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1).sum() / 2)
+    return float(np.linalg.norm(area_vectors(c), axis=1).sum() / 2)
 
 
 def _grown(instance: Instance, part: Part, factor: float) -> Instance:

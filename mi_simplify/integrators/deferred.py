@@ -100,16 +100,16 @@ class DeferredRenderer:
         rays = PixelRays.centred(detached) if self.shade == "centre" else FilmRays(detached, spp, seed)
         surface = surface.detached()
         _, origin, direction = rays.at(dr.arange(mi.UInt32, len(rays)))
-        values = beyond = None
+        values = unpeeled = None
         if self.layers == 1:
             face, _ = trace(self.tracer.scene, origin, direction)
             if self.shade == "pixel":
                 rays, face = one_a_pixel(rays, face)
             hits = kept_hits(face, face != MISS)
         else:
-            face, beyond, _ = peel(self.tracer.scene, surface, textures, origin, direction, self.layers)
-            beyond *= rays.weight(dr.arange(mi.UInt32, len(rays)))
-            dr.eval(face, beyond)
+            face, unpeeled, _ = peel(self.tracer.scene, surface, textures, origin, direction, self.layers)
+            unpeeled *= rays.weight(dr.arange(mi.UInt32, len(rays)))
+            dr.eval(face, unpeeled)
             hits = layered_hits(face, self.layers)
         if hits is None:
             return RenderedBatch(dr.zeros(mi.Vector4f, detached.n_pixels), cameras.packets, rays)
@@ -124,7 +124,7 @@ class DeferredRenderer:
             dr.scatter_reduce(dr.ReduceOp.Add, image, whole, rays.pixel(ray), mode=dr.ReduceMode.Local)
             dr.eval(image)
         touched = None if flags is None else TouchedBlocks.of(textures, flags)
-        return RenderedBatch(_pixels(image, detached), cameras.packets, rays, hits, touched, values, beyond)
+        return RenderedBatch(_pixels(image, detached), cameras.packets, rays, hits, touched, values, unpeeled)
 
     def backward(
         self,

@@ -51,7 +51,7 @@ def peel(
     -------
     face : mi.UInt32, width N·layers
         Triangles of each ray, front to back, then :data:`.gbuffer.MISS`.
-    beyond : mi.Float, width N
+    unpeeled : mi.Float, width N
         Coverage that the next surface would add.
     meets : mi.Bool, width N
         Whether ``at_edge`` is true of any of them.
@@ -65,7 +65,7 @@ def peel(
     faces = dr.full(mi.UInt32, MISS, n * layers)
     dr.make_opaque(faces)
     size = dr.max(dr.abs(origin))
-    t, through, beyond = dr.zeros(mi.Float, n), dr.ones(mi.Float, n), dr.zeros(mi.Float, n)
+    t, through, unpeeled = dr.zeros(mi.Float, n), dr.ones(mi.Float, n), dr.zeros(mi.Float, n)
     last, k = dr.full(mi.UInt32, MISS, n), dr.zeros(mi.UInt32, n)
     active, meets = dr.full(mi.Bool, True, n), dr.full(mi.Bool, False, n)
     while dr.hint(active, label="peel", exclude=[scene, surface, textures, at_edge, faces]):
@@ -78,14 +78,14 @@ def peel(
         counts = active & ~again & (alpha > 0)
         is_layer = counts & (k < layers)
         dr.scatter(faces, face, lane * layers + k, is_layer)
-        beyond = dr.select(counts & ~is_layer, through * alpha, beyond)
+        unpeeled = dr.select(counts & ~is_layer, through * alpha, unpeeled)
         meets |= is_layer & at_edge(face, t)
         through = dr.select(is_layer, through * (1 - alpha), through)
         k = dr.select(is_layer, k + 1, k)
         active &= ~(counts & ~is_layer) & (through > _DARK)
         last = face
         t += dr.maximum(size, t) * dr.select(again, mi.Float(_FARTHER), mi.Float(_STEP))
-    return faces, beyond, meets
+    return faces, unpeeled, meets
 
 
 def _opacity(surface: Surface, textures: Textures, face: mi.UInt32, b: mi.Point2f, active: mi.Bool) -> mi.Float:

@@ -33,7 +33,7 @@ class RenderedBatch:
         Of the textures; None where nothing was hit, or rendered under ``dr.suspend_grad()``.
     values : mi.Vector4f or None
         Premultiplied radiance and coverage of each hit; with several layers only.
-    beyond : mi.Float or None
+    unpeeled : mi.Float or None
         Coverage that one more layer would add to the pixel of each ray; with several layers only.
     """
 
@@ -43,7 +43,7 @@ class RenderedBatch:
     hits: Hits | None = None
     touched: TouchedBlocks | None = None
     values: mi.Vector4f | None = None
-    beyond: mi.Float | None = None
+    unpeeled: mi.Float | None = None
 
     def images(self) -> np.ndarray:
         """

@@ -17,7 +17,7 @@ import numpy as np
 
 from .. import __version__
 from ..config import Config
-from ..config.schema import Reference as ReferenceSettings
+from ..config.schema import ReferenceSettings
 from ..errors import ConfigError
 from ..judging.metrics import flip, psnr
 from ..judging.screen import Screen
@@ -160,13 +160,13 @@ def lod_job(
     for k, budget in enumerate(triangles):
         begun, folder = time.perf_counter(), out / f"lod{k}"
 
-        def told(event: Progress, k: int = k) -> None:
+        def forward(event: Progress, k: int = k) -> None:
             progress(dataclasses.replace(event, stage=f"lod{k} {event.stage}"))
 
         keys: dict[str, Any] = {"initial": {"triangles": budget}, "export": {"formats": formats}}
         if k:
             keys["initial"] |= {"source": str(folder.with_name(f"lod{k - 1}") / "model.glb")}
-            told(Progress("size"))
+            forward(Progress("size"))
             guess, _ = open_subject(configure(keys)).guess()
             largest = levels[-1].screen_size or np.inf
             size, _ = switching_size(models[-1], guess, bounds, threshold, largest=largest, form=config.latent.shading)
@@ -174,12 +174,12 @@ def lod_job(
             if film <= LARGEST_FILM:
                 keys["optimizer"] = {"target_resolution": film}
         settings = configure(keys)
-        result = run_job(settings, folder, told, overwrite=overwrite)
+        result = run_job(settings, folder, forward, overwrite=overwrite)
         models.append(result.model.transformed(frame.scale, -frame.scale * frame.center))
         takes_over: float | None = None
         measured: dict[int, float] = {}
         if k:
-            told(Progress("size"))
+            forward(Progress("size"))
             takes_over, measured = switching_size(
                 models[-2], models[-1], bounds, threshold, largest=largest, form=settings.latent.shading
             )

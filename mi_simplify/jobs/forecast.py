@@ -198,6 +198,6 @@ def _try_rest(result: Forecast, config: Config, subject: Subject, guess: Model, 
     contact_sheet(comparison.reference, comparison.candidates, comparison.per_view)
     report_page(comparison, title=subject.geometry.name)
     per_view = clock.lap() / 2 * n_candidates
-    models = {"result": candidate} if subject.shown is None else {"reference": subject.shown, "result": candidate}
+    models = {"result": candidate} if subject.display is None else {"reference": subject.display, "result": candidate}
     report_page(comparison, title=subject.geometry.name, models=models)
     result.seconds["report"] = clock.lap() + per_view * judged.views

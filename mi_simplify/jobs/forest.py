@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..config.forest import Forest
+from ..config.forest import ForestSettings
 from ..errors import Defect
 from ..formats.gltf.instancing import write_instanced
 from ..formats.textures import png, to_8bit
@@ -26,7 +26,7 @@ from .scatter import scatter
 
 
 def render_forest(
-    forest: Forest,
+    forest: ForestSettings,
     out: str | Path,
     progress: ProgressCallback = silent,
     *,
@@ -38,7 +38,7 @@ def render_forest(
 
     Parameters
     ----------
-    forest : Forest
+    forest : ForestSettings
     out : str or Path
         Folder: ``original.png``, ``approximation.png``, ``forest.json``.
     progress : callable
@@ -108,7 +108,9 @@ def _rendered(job: dict, path: Path) -> dict[str, float]:
     return json.loads(done.stdout.strip().splitlines()[-1])
 
 
-def _figures(forest: Forest, images: list[np.ndarray], costs: dict, assets: list[list], species: np.ndarray) -> dict:
+def _figures(
+    forest: ForestSettings, images: list[np.ndarray], costs: dict, assets: list[list], species: np.ndarray
+) -> dict:
     original, again, approximation = (image[None] for image in images)
     triangles = [int(sum(kinds[s].n_triangles for s in species.tolist())) for kinds in assets]
     a, b = costs["original"], costs["approximation"]

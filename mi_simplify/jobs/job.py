@@ -159,18 +159,18 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         with folder.staged() as stage:
             save_comparison(comparison, stage)
             write_atomic(stage / "config.yaml", dump(config))  # again: the folder may have been removed meanwhile
-        report_folder(folder.path, _shown(subject) | {"result": result})
+        report_folder(folder.path, _displayed(subject) | {"result": result})
         folder.finished()
-    _require_shown(shown, written)
+    _require_likeness(shown, written)
     return Result(folder.path, guess, model, comparison.figures)
 
 
-def _shown(subject: Subject) -> dict[str, Asset]:
+def _displayed(subject: Subject) -> dict[str, Asset]:
     """What a report shows of the subject in 3D."""
-    return {} if subject.shown is None else {"reference": subject.shown}
+    return {} if subject.display is None else {"reference": subject.display}
 
 
-def _require_shown(psnr: float, written: Path) -> None:
+def _require_likeness(psnr: float, written: Path) -> None:
     """Raise where a file does not show the model it was made from."""
     if psnr < LEAST_PSNR:
         raise Defect(
@@ -220,7 +220,7 @@ def bake_job(
     with folder.opened(), folder.staged() as stage:
         files = export_model(model, stage, extras={"generator": f"mi_simplify {__version__}"})
     files = {name: folder.path / path.name for name, path in files.items()}
-    _require_shown(self_check(model, load_asset(files["glb"])), files["glb"])
+    _require_likeness(self_check(model, load_asset(files["glb"])), files["glb"])
     return files
 
 
@@ -256,7 +256,7 @@ def evaluate_job(
         with folder.opened():
             with folder.staged() as stage:
                 save_comparison(comparison, stage)
-            report_folder(folder.path, _shown(subject) | assets)
+            report_folder(folder.path, _displayed(subject) | assets)
     return comparison.figures
 
 

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import OutputError
-from ..formats.textures import png, srgb_to_linear
+from ..formats.textures import png
 from ..machine.files import make_folder, write_atomic
-from .pictures import contact_sheet, shown
+from ..model.color import srgb_to_linear
+from .pictures import contact_sheet, displayed
 
 VIEWS = "views.npz"
 """The images of a comparison as a screen shows them, with coverage: what its report is built from."""
@@ -68,7 +69,7 @@ def save_comparison(comparison: Comparison, out: str | Path) -> dict[str, Path]:
     images = {"reference": comparison.reference}
     images |= {f"candidate_{k}": x for k, x in enumerate(comparison.candidates.values())}
     packed: dict[str, Any] = {
-        name: np.concatenate([shown(x), _levels(x[..., 3:])], axis=3) for name, x in images.items()
+        name: np.concatenate([displayed(x), _levels(x[..., 3:])], axis=3) for name, x in images.items()
     }
     stream = io.BytesIO()
     np.savez_compressed(stream, **packed)

@@ -10,6 +10,8 @@ from __future__ import annotations
 import flip_evaluator
 import numpy as np
 
+from ..model.color import linear_to_srgb
+
 COVERED = 0.5
 """Coverage from which a pixel counts as covered."""
 
@@ -28,8 +30,7 @@ def tonemap(linear: np.ndarray) -> np.ndarray:
     ndarray, shape (..., 3), float32
         sRGB in [0, 1].
     """
-    x = np.clip(np.asarray(linear)[..., :3], 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055).astype(np.float32)
+    return linear_to_srgb(np.asarray(linear)[..., :3]).astype(np.float32)
 
 
 def psnr(reference: np.ndarray, candidate: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 BACKGROUND, INK, FAINT = (22, 22, 25), (236, 236, 240), (150, 150, 160)
 
 
-def shown(images: np.ndarray) -> np.ndarray:
+def displayed(images: np.ndarray) -> np.ndarray:
     """
     Linear images as a screen shows them, shape (B, H, W, 3), uint8.
     """
@@ -118,9 +118,9 @@ def comparison_columns(
     -------
     list of Column
     """
-    columns = [Column("reference", shown(reference))]
+    columns = [Column("reference", displayed(reference))]
     for name, images in candidates.items():
-        columns.append(Column(name, shown(images), tuple(f"{p:.2f} dB" for p in per_view[name]["psnr"])))
+        columns.append(Column(name, displayed(images), tuple(f"{p:.2f} dB" for p in per_view[name]["psnr"])))
     name, last = list(candidates.items())[-1]
     silhouette, flip = per_view[name]["silhouette_error"], per_view[name]["flip"]
     return [

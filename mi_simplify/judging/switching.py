@@ -47,7 +47,7 @@ def switching_size(
     largest: float = float(SIZES[0]),
     form: str = "gltf",
     n_views: int = 6,
-    told: Callable[[int], None] | None = None,
+    on_size: Callable[[int], None] | None = None,
 ) -> tuple[float, dict[int, float]]:
     """
     The largest size at which two levels look alike, their FLIP being below a threshold.
@@ -64,7 +64,7 @@ def switching_size(
         Nothing above this is tried [pixels].
     n_views : int
         Of small images, see :func:`views_of`.
-    told : callable, optional
+    on_size : callable, optional
         Called with every size that is tried.
 
     Returns
@@ -81,8 +81,8 @@ def switching_size(
     found: dict[int, float] = {}
 
     def is_alike(k: int) -> bool:
-        if told is not None:
-            told(sizes[k])
+        if on_size is not None:
+            on_size(sizes[k])
         count = views_of(sizes[k], n_views)
         found[sizes[k]] = difference(finer, coarser, held_out_views(bounds, count, sizes[k], seed=7))
         return found[sizes[k]] < threshold

@@ -84,7 +84,7 @@ class Displaced:
             normals = _with_midpoints(normals, *ends)
         return normals * dr.rsqrt(dr.maximum(dr.squared_norm(normals), 1e-12))
 
-    def _shown(self, level: int, finest: MeshTopology, positions: mi.Float) -> tuple[MeshTopology, mi.Float]:
+    def _at_level(self, level: int, finest: MeshTopology, positions: mi.Float) -> tuple[MeshTopology, mi.Float]:
         """The mesh of so many subdivisions, and its own of the positions."""
         if level == len(self._edges):
             return finest, positions
@@ -106,9 +106,9 @@ class Displaced:
         """See :class:`.operation.MeshOperation`."""
         level, normals = self._level(views), None
         if level > self._framed:
-            coarse = self._shown(self._framed, topology, positions)
+            coarse = self._at_level(self._framed, topology, positions)
             normals = dr.ravel(self._normals(*coarse, self._frame_vertex, self._edges[self._framed : level]))
-        shown, own = self._shown(level, topology, positions)
+        shown, own = self._at_level(level, topology, positions)
         packets = shown.surface(own, normals).packets
         for ends in self._vertex_edges[level:]:
             packets = _with_middle_packets(packets, *ends)

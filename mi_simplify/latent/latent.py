@@ -74,7 +74,7 @@ class Latent:
         model = self._with(self._model.mesh, base)
         return self.operation.written(model, {**self.operation.parameters, **(parameters or {})})
 
-    def shown(self, positions: np.ndarray, surface: Surface) -> Model:
+    def as_rendered(self, positions: np.ndarray, surface: Surface) -> Model:
         """
         The rendered mesh at rendered positions, with the normals of its surface and the textures, as a model without an
         operation.

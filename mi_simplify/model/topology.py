@@ -32,6 +32,17 @@ def weld(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vertices[first[order]], rank[inverse.reshape(-1)]
 
 
+def area_vectors(corners: np.ndarray) -> np.ndarray:
+    """
+    Normals of triangles, each as long as twice its area, shape (F, 3).
+
+    Parameters
+    ----------
+    corners : ndarray, shape (F, 3, 3)
+    """
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
 def corner_angles(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """
     Inner angle at every corner [rad], shape (F, 3); 0 where an edge has no length.
@@ -70,7 +81,7 @@ def vertex_normals(
     groups = faces if groups is None else groups
     n_groups = len(positions) if groups is faces else int(groups.max(initial=-1)) + 1
     p = np.asarray(positions, np.float64)[faces]
-    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    n = area_vectors(p)
     length = np.linalg.norm(n, axis=1, keepdims=True)
     n = np.divide(n, length, out=np.zeros_like(n), where=length > 0)
     weights = corner_angles(np.asarray(positions, np.float64), faces) * (length if by_area else 1.0)
@@ -102,7 +113,7 @@ def normal_groups(positions: np.ndarray, faces: np.ndarray, crease_angle: float)
     """
     n_faces = len(faces)
     p = np.asarray(positions, np.float64)[faces]
-    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    n = area_vectors(p)
     n /= np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
     corner = np.arange(3 * n_faces).reshape(-1, 3)
     start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()

@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import OutputError
 from ..fitting import Run
 from ..formats.textures import png
-from ..judging.pictures import shown
+from ..judging.pictures import displayed
 from ..machine.files import write_atomic
 
 log = logging.getLogger("mi_simplify")
@@ -47,7 +47,7 @@ class Preview:
         start = time.monotonic()
         if start < self._due:
             return None
-        picture = np.concatenate([shown(image)[0] for image in run.fit.preview()], axis=1)
+        picture = np.concatenate([displayed(image)[0] for image in run.fit.preview()], axis=1)
         try:
             write_atomic(self.path, png(picture))
             self._failed = False

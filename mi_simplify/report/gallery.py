@@ -14,7 +14,7 @@ from PIL import Image
 
 from ..judging.comparison import Comparison
 from ..judging.metrics import COVERED
-from ..judging.pictures import Column, coverage_errors, flip_pictures, shown, signed_difference
+from ..judging.pictures import Column, coverage_errors, displayed, flip_pictures, signed_difference
 from .embed import data_uri
 
 MOST_VIEWS = 12
@@ -66,11 +66,11 @@ def pictures(comparison: Comparison) -> list[Column]:
         return images[:MOST_VIEWS, rows, columns]
 
     reference = cut(comparison.reference)
-    out = [Column("reference", shown(reference))]
+    out = [Column("reference", displayed(reference))]
     errors: list[Column] = []
     for name, images in comparison.candidates.items():
         per_view, candidate = comparison.per_view[name], cut(images)
-        out.append(Column(name, shown(candidate), _captions("{:.2f} dB", per_view["psnr"])))
+        out.append(Column(name, displayed(candidate), _captions("{:.2f} dB", per_view["psnr"])))
         silhouette = [100 * x for x in per_view["silhouette_error"]]
         errors += [
             Column(f"{name}: {ERRORS[0]}", signed_difference(reference, candidate)),

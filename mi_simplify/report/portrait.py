@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import AssetError, OutputError
 from ..formats.textures import png
-from ..judging.pictures import shown
+from ..judging.pictures import displayed
 from ..machine.files import make_folder, write_atomic
 from ..model.asset import Asset
 from ..scenes.references.path_traced import make_reference
@@ -112,5 +112,5 @@ def save_picture(image: np.ndarray, path: str | Path) -> Path:
     path = check_picture_path(path)
     make_folder(path.parent)
     if path.suffix.lower() == ".png":
-        return write_atomic(path, png(shown(image[None])[0]))
+        return write_atomic(path, png(displayed(image[None])[0]))
     return write_atomic(path, lambda temporary: mi.Bitmap(np.ascontiguousarray(image)).write(str(temporary)))

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from ..formats.textures import VISIBLE_GAMMA, encode_normal, linear_to_srgb, to_8bit
+from ..formats.textures import VISIBLE_GAMMA, encode_normal, to_8bit
 from ..model.asset import Asset, Material, Part
+from ..model.color import linear_to_srgb
 from ..model.mesh import Mesh
 from ..model.tangents import split_mirrored, vertex_tangents
 from ..scenes.shapes import part_normals

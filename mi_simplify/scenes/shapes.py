@@ -14,7 +14,7 @@ from ..machine.meshes import make_mesh
 from ..model.asset import Asset, Instance, Material, Part
 from ..model.mesh import Mesh
 from ..model.tangents import split_mirrored, vertex_tangents
-from ..model.topology import vertex_normals, weld
+from ..model.topology import area_vectors, vertex_normals, weld
 
 
 def part_normals(part: Part) -> np.ndarray:
@@ -71,7 +71,7 @@ def _oriented(part: Part, normals: np.ndarray) -> Part:
     Rewind a part whose winding disagrees with most of its own shading normals, which then would be lit from behind.
     """
     p = part.vertices[part.faces]
-    area = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    area = area_vectors(p)
     agree = np.einsum("fi,fi->", area, normals[part.faces].sum(1))
     return replace(part, faces=part.faces[:, ::-1]) if agree < 0 else part
 

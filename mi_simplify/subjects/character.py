@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..config import Config
-from ..config.animation import Animation
+from ..config.animation import AnimationSettings
 from ..config.presets import STARTS
 from ..errors import ConfigError
 from ..initial.reduce.weights import bone_weights, carried_weights
@@ -95,7 +95,7 @@ class Character(Subject):
         return compare_characters(self.geometry, candidates, self.judged, judging, progress)
 
 
-def split_frames(rig: Rig, animation: Animation) -> tuple[np.ndarray, np.ndarray]:
+def split_frames(rig: Rig, animation: AnimationSettings) -> tuple[np.ndarray, np.ndarray]:
     """
     Frames to fit and frames to judge by, as indices into the clip.
 

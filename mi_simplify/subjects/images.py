@@ -63,7 +63,7 @@ class ImageSubject(Subject):
         super().__init__(_completed(config, light), geometry)
 
     @property
-    def shown(self) -> Asset | None:
+    def display(self) -> Asset | None:
         """See :class:`.subject.Subject`; a hull is no reference."""
         return None
 

@@ -60,7 +60,7 @@ class Subject:
         self.frame = Frame.around(geometry.bounds)
 
     @property
-    def shown(self) -> Asset | None:
+    def display(self) -> Asset | None:
         """What stands for the subject where reports show it in 3D; None where there is nothing to show."""
         return self.geometry
 
@@ -193,12 +193,12 @@ class Subject:
         """
         Candidates in the light that they were fitted to, beside images of a reference renderer.
         """
-        told = {"light": "as fitted", "reference": self.config.reference.transport}
+        settings_used = {"light": "as fitted", "reference": self.config.reference.transport}
         others = {
             name: Rendering(asset, fitted_light(asset, settings["spp"], self.config))
             for name, asset in candidates.items()
         }
-        return compare_renderings(Rendering(self.geometry, renderer), others, views, told | settings, progress)
+        return compare_renderings(Rendering(self.geometry, renderer), others, views, settings_used | settings, progress)
 
 
 def open_asset(name: str) -> Asset:

@@ -7,7 +7,7 @@ import yaml
 from pydantic import ValidationError
 from support.paths import ROOT
 
-from mi_simplify.config import PRESETS, dump, json_schema, load_config, markdown, without
+from mi_simplify.config import PRESETS, dump, json_schema, load_config, markdown, with_fixed
 from mi_simplify.config.forest import load_forest
 from mi_simplify.config.layers import parse_override
 from mi_simplify.config.problems import dotted_keys
@@ -185,16 +185,16 @@ def test_a_mesh_of_the_users_own_needs_no_budget(tmp_path):
 )
 def test_what_is_skipped_is_not_fitted(names, left):
     config = load_config(None, [RELIC, "seed=4"])
-    assert without(config, names).latent.optimize == left
-    assert without(config, names).seed == 4
+    assert with_fixed(config, names).latent.optimize == left
+    assert with_fixed(config, names).seed == 4
 
 
 def test_wrong_names_of_quantities_are_one_line():
     config = load_config(None, [RELIC])
     with pytest.raises(ConfigError, match="'normals' is nothing that is fitted, did you mean 'normal'."):
-        without(config, ["normals"])
+        with_fixed(config, ["normals"])
     with pytest.raises(ConfigError, match="^nothing is left to fit"):
-        without(config, ["shape", "kd", "orm", "normal"])
+        with_fixed(config, ["shape", "kd", "orm", "normal"])
 
 
 def test_a_config_is_frozen():

@@ -17,8 +17,9 @@ from support.paths import ROOT
 from mi_simplify.errors import MeshError, OutputError
 from mi_simplify.export import export_model, write_glb, write_obj
 from mi_simplify.formats.gltf.write import glb_bytes
-from mi_simplify.formats.textures import encode_textures, linear_to_srgb, srgb_to_linear, to_8bit
+from mi_simplify.formats.textures import encode_textures, to_8bit
 from mi_simplify.formats.usd.write import write_usd
+from mi_simplify.model.color import linear_to_srgb, srgb_to_linear
 from mi_simplify.model.mesh import Mesh
 from mi_simplify.model.model import Model
 from mi_simplify.model.tangents import split_mirrored, vertex_tangents

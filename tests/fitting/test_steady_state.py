@@ -78,7 +78,7 @@ def test_no_kernel_of_transparent_layers_is_compiled_after_the_third_step(mode):
     for k in range(4, 15):
         assert not kernels(lambda k=k: fit.step(k)) - seen, f"step {k} compiled a kernel"
     fit.judge()
-    assert 0 <= fit.beyond < 0.05
+    assert 0 <= fit.unpeeled < 0.05
 
 
 def test_no_kernel_of_the_plugin_is_compiled_after_the_third_step():

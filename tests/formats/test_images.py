@@ -15,10 +15,10 @@ from mi_simplify.formats.images import (
     decode_image,
     is_normal_map,
     join_channels,
-    srgb_to_linear,
     to_float,
     unit_normals,
 )
+from mi_simplify.model.color import srgb_to_linear
 
 
 def encode(image: Image.Image, kind: str, **options) -> bytes:

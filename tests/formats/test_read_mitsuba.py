@@ -11,11 +11,11 @@ from support.tiny_models import corner_pixels, png
 
 from mi_simplify import cli
 from mi_simplify.errors import AssetError, UserError
-from mi_simplify.formats.images import srgb_to_linear
 from mi_simplify.formats.load import load_asset
 from mi_simplify.formats.mitsuba.read import SceneAsset
 from mi_simplify.machine.meshes import make_mesh
 from mi_simplify.model.asset import Asset
+from mi_simplify.model.color import srgb_to_linear
 from mi_simplify.model.frame import Frame
 from mi_simplify.scenes.references.path_traced import make_reference, scene_reference
 from mi_simplify.scenes.references.reference import FramedReference

@@ -5,8 +5,8 @@ import pytest
 from support.tiny_models import assert_corner_colors, corner_pixels, face_normals, png
 
 from mi_simplify.errors import AssetError, MeshError
-from mi_simplify.formats.images import srgb_to_linear
 from mi_simplify.formats.load import load_asset
+from mi_simplify.model.color import srgb_to_linear
 
 QUAD = """mtllib quad.mtl
 v 0 0 0

@@ -8,8 +8,8 @@ import trimesh
 from support.tiny_models import QUAD, assert_corner_colors, corner_pixels, png
 
 from mi_simplify.errors import AssetError, MeshError
-from mi_simplify.formats.images import srgb_to_linear
 from mi_simplify.formats.load import load_asset
+from mi_simplify.model.color import srgb_to_linear
 
 WEDGES = """comment TextureFile image.png
 element vertex 4

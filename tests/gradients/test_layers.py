@@ -95,7 +95,7 @@ def test_what_lies_beyond_is_counted():
         renderer.renderer = deferred
         _, views, surface, textures = renderer._place(renderer.start)
         frame = deferred.render(surface, textures, views, spp=16, seed=mi.UInt32(1))
-        covered[max(layers, 2)] = float(np.sum(frame.image.w.numpy())), float(np.sum(frame.beyond.numpy()))
+        covered[max(layers, 2)] = float(np.sum(frame.image.w.numpy())), float(np.sum(frame.unpeeled.numpy()))
     assert covered[2][0] + covered[2][1] == pytest.approx(covered[3][0], rel=1e-3)
     assert covered[3][1] < covered[2][1]
 

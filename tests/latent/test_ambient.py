@@ -13,6 +13,7 @@ from mi_simplify.export import export_model
 from mi_simplify.fitting import Fit
 from mi_simplify.formats.load import load_asset
 from mi_simplify.machine.upload import upload
+from mi_simplify.model.color import srgb_to_linear
 from mi_simplify.model.model import Model
 from mi_simplify.scenes.references.path_traced import make_reference
 from mi_simplify.scenes.views import goniometer
@@ -75,8 +76,6 @@ def test_files_carry_the_ambient_term_as_emission(model, tmp_path):
         strength = material.get("extensions", {}).get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1)
         assert (strength > 1) == (factor == 20.0)
         from PIL import Image
-
-        from mi_simplify.formats.textures import srgb_to_linear
 
         image = np.asarray(Image.open(files["obj"].with_name("model_emission.png")))[..., :3] / 255
         written = srgb_to_linear(image) * strength * material["emissiveFactor"][0]

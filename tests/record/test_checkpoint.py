@@ -211,7 +211,7 @@ def test_nan_goes_back_to_the_best_state_and_on_with_care(caplog):
     advanced(run, 60)
     expected = "step 21: NaN or infinity in the loss; back to the state of step 20, at half the rates"
     assert [r.message for r in caplog.records] == [expected]
-    assert run.fit.caution == 0.5 and run.fit.trouble() is None
+    assert run.fit.caution == 0.5 and run.fit.not_finite() is None
     psnr = {record["step"]: record["psnr"] for record in run.records if "psnr" in record}
     assert run.best_step > 20 and psnr[60] > psnr[20]
     assert all(np.isfinite(record["loss"]) for record in run.records)
@@ -224,12 +224,12 @@ def test_nan_in_a_gradient_is_found_though_the_loss_is_finite(part, array, caplo
     state = optimizer.state()
     state[array].flat[-1] = np.nan
     optimizer.restore(state)
-    assert run.fit.trouble() == part
+    assert run.fit.not_finite() == part
     advanced(run, 30)
     assert [r.message for r in caplog.records] == [
         f"step 11: NaN or infinity in the {part}; back to the state of step 10, at half the rates"
     ]
-    assert run.fit.trouble() is None and run.best_step >= 10
+    assert run.fit.not_finite() is None and run.best_step >= 10
 
 
 def test_nan_without_end_ends_with_the_best(monkeypatch, caplog):

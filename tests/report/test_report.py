@@ -24,7 +24,7 @@ from mi_simplify.judging.pictures import (
     contact_sheet,
     coverage_errors,
     flip_pictures,
-    shown,
+    displayed,
     signed_difference,
 )
 from mi_simplify.model.asset import Asset, Instance, Material, Part
@@ -90,7 +90,7 @@ def test_contact_sheet_holds_the_pictures(comparison):
     names = ["reference", "first guess", "result <1>", "difference", "coverage errors", "FLIP"]
     assert [c.name for c in columns] == names
     sheet = np.asarray(contact_sheet(comparison.reference, comparison.candidates, comparison.per_view))
-    enlarged = shown(comparison.reference)[0].repeat(5, 0).repeat(5, 1)
+    enlarged = displayed(comparison.reference)[0].repeat(5, 0).repeat(5, 1)
     windows = np.lib.stride_tricks.sliding_window_view(sheet[:200, :220, 0], enlarged.shape[:2])
     assert (windows == enlarged[..., 0]).all((2, 3)).sum() == 1
 
@@ -264,7 +264,7 @@ def test_the_grid_shows_the_errors_of_the_last_candidate_first(comparison, tmp_p
 def test_pictures_are_cut_to_what_is_seen_and_are_never_too_many(comparison, monkeypatch):
     columns = pictures(comparison)
     assert columns[0].images.shape == (2, 20, 20, 3), "a disc of radius 9 with a margin in 24 x 32"
-    np.testing.assert_array_equal(columns[1].images, shown(comparison.candidates["first guess"])[:, 2:22, 6:26])
+    np.testing.assert_array_equal(columns[1].images, displayed(comparison.candidates["first guess"])[:, 2:22, 6:26])
     monkeypatch.setattr(gallery, "MOST_PIXELS", 9 * 2 * 10 * 10)
     assert {column.images.shape for column in pictures(comparison)} == {(2, 10, 10, 3)}
     monkeypatch.setattr(gallery, "MOST_VIEWS", 1)
@@ -310,7 +310,7 @@ def judged(comparison, tmp_path) -> Path:
 def test_what_is_saved_comes_back_as_a_screen_shows_it(comparison, judged):
     loaded = load_comparison(judged)
     assert loaded.figures == comparison.figures and list(loaded.candidates) == list(comparison.candidates)
-    np.testing.assert_array_equal(shown(loaded.reference), shown(comparison.reference))
+    np.testing.assert_array_equal(displayed(loaded.reference), displayed(comparison.reference))
     half = np.full((1, 2, 2, 4), 0.5, np.float32)
     figures = {**comparison.figures, "candidates": {"a": {"triangles": 1, **compare(half, half)}}}
     save_comparison(Comparison(half, {"a": half}, figures), judged)

@@ -134,7 +134,7 @@ class ShapeSteps:
         for name, adam in self._others.items():
             adam.restart(parameters[name])
 
-    def trouble(self) -> str | None:
+    def not_finite(self) -> str | None:
         """
         What is no longer finite; None where all is well.
         """

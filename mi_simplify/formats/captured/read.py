@@ -19,6 +19,7 @@ import numpy as np
 
 from ...errors import AssetError
 from ...machine import memory
+from ...model.color import srgb_to_linear
 from ..images import check_image, decode_image
 
 log = logging.getLogger("mi_simplify")
@@ -181,7 +182,7 @@ class _Reader:
             )
         if space == "srgb":
             straight = color / np.maximum(alpha, 1e-6) if premultiplied else color
-            color = _srgb_to_linear(straight) * alpha
+            color = srgb_to_linear(straight) * alpha
         elif not premultiplied:
             color = color * alpha
         alpha = np.clip(alpha, 0, 1)
@@ -250,9 +251,3 @@ class _Reader:
                 f"{self.path.name}: 'light' of '{name}' should be {{position: [x, y, z], intensity: number or r, g, b}}"
             ) from None
         return position, intensity
-
-
-def _srgb_to_linear(x: np.ndarray) -> np.ndarray:
-    """The sRGB transfer curve (IEC 61966-2-1), undone."""
-    x = np.clip(x, 0, 1)
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from ...machine.files import make_folder, write_atomic
-from ..textures import linear_to_srgb, png, to_8bit
+from ...model.color import linear_to_srgb
+from ..textures import png, to_8bit
 
 TRANSFORMS = "transforms.json"
 

@@ -84,7 +84,7 @@ class SceneFile:
         self._folders = [str(self.path.parent)]
         with _resolving(self._folders):
             check_text(self.path)
-            with self._told():
+            with self._as_asset_errors():
                 self._state = mi.parser.parse_file(config, str(self.path))
                 mi.parser.transform_upgrade(config, self._state)
                 mi.parser.transform_resolve_references(config, self._state)
@@ -113,7 +113,7 @@ class SceneFile:
             props.mark_queried(name, False)
         for name, child in node.children:
             props[name] = self.make(child, fresh=fresh)
-        with self._told(f"{node}: "), _resolving(self._folders):
+        with self._as_asset_errors(f"{node}: "), _resolving(self._folders):
             made = mi.PluginManager.instance().create_object(props)
             if unknown := props.unqueried():
                 raise ValueError(f"there is no parameter '{unknown[0]}'")
@@ -142,7 +142,7 @@ class SceneFile:
         return known[index]
 
     @contextlib.contextmanager
-    def _told(self, what: str = "") -> Iterator[None]:
+    def _as_asset_errors(self, what: str = "") -> Iterator[None]:
         """Mitsuba's exceptions, most of them RuntimeError and some of several lines, as one line."""
         try:
             yield

@@ -16,7 +16,7 @@ import mitsuba as mi
 from ...errors import AssetError
 from ...machine import memory
 from ..images import check_image, require_pixels
-from ..resources import Resources, is_file, read_bytes, shown
+from ..resources import Resources, is_file, printable, read_bytes
 
 #: Files that a scene may include, each counted as often as it is.
 MAX_INCLUDES = 256
@@ -49,7 +49,7 @@ def check_text(path: Path) -> None:
             if name is None:
                 continue
             if "$" in name:
-                raise AssetError(f"{path.name}: the file name '{shown(name)}' holds a parameter; write it out")
+                raise AssetError(f"{path.name}: the file name '{printable(name)}' holds a parameter; write it out")
             found = Path(str(mi.file_resolver().resolve(name)))
             if is_file(found) and not resources.holds(found):
                 raise resources.outside(name, f"<{element.tag}>")
@@ -86,7 +86,7 @@ def check_plugins(path: Path, properties: Iterable[tuple[str, dict[str, Any]]]) 
             library = Path(str(mi.file_resolver().resolve(f"plugins/{plugin}{suffix}")))
             if library.exists() and library.resolve().parent != own / "plugins":
                 raise AssetError(
-                    f"{path.name}: plugin '{shown(plugin)}' would be loaded from {library}; only Mitsuba's own are"
+                    f"{path.name}: plugin '{printable(plugin)}' would be loaded from {library}; only Mitsuba's own are"
                 )
         if plugin in _IMAGES and "filename" not in values:  # which ends the process
             raise AssetError(f"{path.name}: a '{plugin}' names no image; give it a <string name=\"filename\">")
@@ -100,7 +100,9 @@ def check_plugins(path: Path, properties: Iterable[tuple[str, dict[str, Any]]]) 
                 raise resources.outside(value, f"{name} of '{plugin}'")
             if name == "filename" and plugin in _IMAGES:
                 width, height = check_image(read_bytes(found, f"{path.name}: texture"), value, path.name)
-                total = require_pixels(height, width, f"{path.name}: texture '{shown(value)}'", total)
+                total = require_pixels(height, width, f"{path.name}: texture '{printable(value)}'", total)
             elif name == "filename":
                 total += _LOADED * found.stat().st_size
-                memory.require(total, f"{path.name}: '{shown(value)}' with what the scene names before it", "split it")
+                memory.require(
+                    total, f"{path.name}: '{printable(value)}' with what the scene names before it", "split it"
+                )

@@ -17,7 +17,7 @@ from ...machine.meshes import mesh_faces, mesh_normals, mesh_positions, mesh_uvs
 from ...machine.upload import upload
 from ...model.asset import Asset, Instance, Material, Part
 from ...model.marching_cubes import marching_cubes
-from ...model.topology import vertex_normals
+from ...model.topology import area_vectors, vertex_normals
 from ..mapping import Mapping
 from ..resources import Resources
 from .file import Node, SceneFile
@@ -243,7 +243,7 @@ def _mesh_patch(mesh: mi.Mesh) -> tuple[Patch, mi.SurfaceInteraction3f]:
     first = np.zeros(len(vertices), np.int64)  # some corner at each vertex, as 3 face + corner
     first[faces.ravel()] = np.arange(faces.size)
     p = vertices[faces]
-    area = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    area = area_vectors(p)
     if normals is not None and np.einsum("fi,fi->", area, normals[faces].sum(1)) < 0:
         rewound = faces[:, ::-1]
     else:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...model.topology import area_vectors
+
 #: Segments around a circle; a polygon of so many corners lies within 0.0003 radii of it.
 SEGMENTS = 128
 
@@ -60,7 +62,7 @@ def _grid(n_u: int, n_v: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _flattened(faces: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     """The faces without those that a pole has shrunk to a line."""
     p = vertices[faces]
-    return faces[np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) > 1e-12]
+    return faces[np.linalg.norm(area_vectors(p), axis=1) > 1e-12]
 
 
 def sphere() -> Patch:

@@ -12,8 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...model.asset import Material
-from ..images import constant, is_normal_map, join_channels, opacity, rgb, srgb_to_linear, to_float, unit_normals
-from ..resources import MissingFile, Resources, read_bytes, shown
+from ...model.color import srgb_to_linear
+from ..images import constant, is_normal_map, join_channels, opacity, rgb, to_float, unit_normals
+from ..resources import MissingFile, Resources, printable, read_bytes
 
 #: Arguments that each option of a texture statement takes at most; numbers only for ``-o -s -t``.
 _OPTIONS = {
@@ -47,7 +48,9 @@ def read_mtl(name: str, resources: Resources) -> dict[str, Material]:
             try:
                 paths.append(resources.find(part, "material library"))
             except MissingFile:
-                resources.note(f"material library '{shown(part)}' does not exist; its materials are the default grey")
+                resources.note(
+                    f"material library '{printable(part)}' does not exist; its materials are the default grey"
+                )
     statements: dict[str, dict[str, str]] = {}
     for path in paths:
         current: dict[str, str] = {}
@@ -69,7 +72,7 @@ def _material(name: str, values: dict[str, str], resources: Resources) -> Materi
     if color_map is not None:
         color = to_float(rgb(color_map), srgb=True)
     elif numbers:
-        color = srgb_to_linear(np.clip(constant(*(numbers * 3)[:3] if len(numbers) < 3 else numbers[:3]), 0, 1))
+        color = srgb_to_linear(constant(*(numbers * 3)[:3] if len(numbers) < 3 else numbers[:3]))
     else:
         color = Material().base_color[..., :3]
     alpha, mode = _opacity(name, values, resources)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...errors import MeshError
 from ...model.asset import Asset, Instance, Material, Part
-from ..images import srgb_to_linear
+from ...model.color import srgb_to_linear
 from ..polygons import fan, smooth_normals, split_corners
 from ..resources import Resources, read_bytes
 from ..validate import check_indices
@@ -118,7 +118,7 @@ def _white(material: Material) -> Material:
 
 def _vertex_colors(colors: np.ndarray) -> np.ndarray:
     scale = 255 if len(colors) and np.nanmax(colors) > 1.5 else 1
-    return srgb_to_linear(np.clip(np.nan_to_num(colors / scale, nan=1.0), 0, 1))
+    return srgb_to_linear(np.nan_to_num(colors / scale, nan=1.0)).astype(np.float32)
 
 
 def _owners(lines: _Lines, faces: _Faces, resources: Resources) -> tuple[dict, np.ndarray, list]:

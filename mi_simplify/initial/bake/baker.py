@@ -15,6 +15,7 @@ from ...machine.runtime import ensure_variant
 from ...machine.upload import upload
 from ...model.asset import Asset
 from ...model.mesh import Mesh
+from ...model.topology import area_vectors
 from ..closest import ClosestPoints, sample_surface
 from ..reduce.cleanup import clean
 from ..soup import merge
@@ -130,12 +131,12 @@ def reaches(mesh: Mesh, closest: ClosestPoints, diagonal: float) -> np.ndarray:
         [world units], at least a thousandth of ``diagonal``.
     """
     own = ClosestPoints(mesh.positions, mesh.position_faces, n_samples=50_000)
-    area = np.linalg.norm(np.cross(*(own.corners[:, k] - own.corners[:, 0] for k in (1, 2))), axis=1)
+    area = np.linalg.norm(area_vectors(own.corners), axis=1)
     points, face = sample_surface(own.corners, area, 20_000, seed=1)
     gap = np.zeros(len(own.corners))
     np.maximum.at(gap, face, closest.query(points, own.normals[face], candidates=4).distance)
 
-    area = np.linalg.norm(np.cross(*(closest.corners[:, k] - closest.corners[:, 0] for k in (1, 2))), axis=1)
+    area = np.linalg.norm(area_vectors(closest.corners), axis=1)
     n_wanted = min(50_000, max(len(area) // 2, 1))
     points, face = sample_surface(closest.corners, area, n_wanted, seed=2)
     if len(points) > 2 * n_wanted:  # one centre per triangle is more than enough of a dense mesh

@@ -33,12 +33,12 @@ def seen(detail: Detail, s: Points, hits: Hits) -> list[mi.Float]:
     t = mi.Float(0)
     for _ in range(LAYERS):
         layer, t = _next(detail, s, p + s.ray * near, t, near - gap, True)
-        sums, left = _behind(sums, left, _shown(detail, s, layer))
+        sums, left = _behind(sums, left, _visible(detail, s, layer))
     sums, left = _behind(sums, left, own)
     below, t = detail.blends(hits), mi.Float(gap)
     for _ in range(LAYERS):
         layer, t = _next(detail, s, p, t, dr.select(below, near, 0), False)
-        sums, left = _behind(sums, left, _shown(detail, s, layer))
+        sums, left = _behind(sums, left, _visible(detail, s, layer))
     opacity = sums[6]
     means = [
         dr.select(opacity > 1e-3, x / dr.maximum(opacity, 1e-3), y) for x, y in zip(sums[7:13], own[7:13], strict=True)
@@ -46,7 +46,7 @@ def seen(detail: Detail, s: Points, hits: Hits) -> list[mi.Float]:
     return [*sums[:3], *own[3:6], opacity, *means, own[13]]
 
 
-def _shown(detail: Detail, s: Points, hits: Hits) -> list[mi.Float]:
+def _visible(detail: Detail, s: Points, hits: Hits) -> list[mi.Float]:
     """What a layer shows, nothing where there is none."""
     found = hits.face != NO_FACE
     hits.face = dr.select(found, hits.face, 0)

@@ -11,6 +11,7 @@ from ...machine.runtime import ensure_variant
 from ...model.asset import Asset
 from ...model.mesh import Mesh
 from ...model.model import Model
+from ...model.topology import area_vectors
 from ..soup import Soup, merge
 from .clusters import Clusters, cluster_faces, pieces
 from .crossing import crossing_cards
@@ -183,7 +184,7 @@ def is_aggregate(asset: Asset, triangles: int) -> str:
     soup, node, _ = _with_nodes(asset, 1)
     piece = pieces(soup.position_faces, node)
     corners = soup.positions[soup.position_faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = np.linalg.norm(area_vectors(corners), axis=1)
     n = int(piece.max()) + 1
     order = np.argsort(piece, kind="stable")
     start = np.searchsorted(piece[order], np.arange(n))

@@ -15,6 +15,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ...model.topology import area_vectors
+
 #: Columns of moments: area, ∫p (3), ∫ppᵀ (6), ∫nnᵀ (6).
 _N = 16
 _PAIRS = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
@@ -145,7 +147,7 @@ def cluster_faces(triangles: np.ndarray, piece: np.ndarray, group: np.ndarray, n
 def _moments(triangles: np.ndarray) -> np.ndarray:
     """Of every triangle, shape (F, 16), exact."""
     total = triangles.sum(1)
-    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
+    normal = area_vectors(triangles) / 2
     area = np.linalg.norm(normal, axis=1)
     normal /= np.maximum(area, 1e-300)[:, None]
     out = np.empty((len(triangles), _N))
@@ -218,6 +220,6 @@ def _planes(
     axes = np.stack([long, np.cross(normal, long), normal], 1)
     used = label >= 0
     p = triangles[used]
-    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]) / 2
+    n = area_vectors(p) / 2
     shown = np.bincount(label[used], np.abs(np.einsum("fi,fi->f", n, normal[label[used]])), len(total))
     return Clusters(label, total[:, 1:4] / total[:, :1], axes, total[:, 0] / np.maximum(shown, 1e-12 * total[:, 0]))

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ...errors import MeshError
-from ...model.topology import vertex_normals
+from ...model.topology import area_vectors, vertex_normals
 from ..manifold import edge_pairs, manifold_neighbours, winding_flips
 from ..soup import Soup
 
@@ -119,7 +119,7 @@ def _swap_slivers(soup: Soup, rounds: int = 8) -> tuple[Soup, int, int]:
     for _ in range(rounds):
         p = soup.positions[soup.position_faces]
         edge = np.linalg.norm(np.roll(p, -1, axis=1) - p, axis=2)  # (F, 3), corner k to k + 1
-        area2 = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+        area2 = np.linalg.norm(area_vectors(p), axis=1)
         thin = area2 <= tolerance * edge.max(1)
         if not thin.any():
             break
@@ -153,6 +153,6 @@ def _swap_slivers(soup: Soup, rounds: int = 8) -> tuple[Soup, int, int]:
             break
     p = soup.positions[soup.position_faces]
     edge = np.linalg.norm(np.roll(p, -1, axis=1) - p, axis=2).max(1)
-    thin = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) <= tolerance * edge
+    thin = np.linalg.norm(area_vectors(p), axis=1) <= tolerance * edge
     dropped = int(thin.sum())
     return _keep(soup, ~thin), swapped, dropped

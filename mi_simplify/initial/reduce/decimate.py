@@ -15,6 +15,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from ...errors import MeshError
+from ...model.topology import area_vectors
 
 _LENIENCE = ((0.15, 0.2, 0.02), (0.5, 0.2, 0.02), (1.0, 0.2, 0.02), (1.0, 0.0, 0.0), (1.0, -1.0, 0.0))
 """
@@ -116,7 +117,7 @@ class _Round:
     def _quadrics(self, a_face: np.ndarray) -> np.ndarray:
         """One quadric a vertex, shape (P, 10): A00 A01 A02 A11 A12 A22, b, c of xᵀAx + 2bᵀx + c."""
         p = self.p[self.faces]
-        normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        normal = area_vectors(p)
         length = np.linalg.norm(normal, axis=1)
         normal /= np.maximum(length, 1e-300)[:, None]
         share = length / 6 * self.weights[self.faces].mean(1)  # a third of the area to each corner
@@ -224,9 +225,9 @@ class _Round:
             stays = ~(self.faces[face] == fixed[owner][:, None]).any(1)
             face, k, owner = face[stays], k[stays], owner[stays]
             p = self.p[self.faces[face]]
-            before = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+            before = area_vectors(p)
             p[np.arange(len(p)), k] = target[owner]
-            after = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+            after = area_vectors(p)
             size, new_size = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
             longest = ((np.roll(p, -1, axis=1) - p) ** 2).sum(2).max(1)
             bad = np.einsum("fi,fi->f", before, after) < turn * size * new_size
@@ -294,7 +295,7 @@ def _without_crumbs(
             raise MeshError(f"this surface cannot be reduced below {len(faces)} triangles; ask for at least as many")
         return faces
     c = p[faces]
-    area = np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1) / 2
+    area = np.linalg.norm(area_vectors(c), axis=1) / 2
     area = np.bincount(component, area * weights[faces].mean(1))
     low, high = np.full((len(names), 3), np.inf), np.full((len(names), 3), -np.inf)
     np.minimum.at(low, component, c.min(1))

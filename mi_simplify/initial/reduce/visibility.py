@@ -10,6 +10,7 @@ import numpy as np
 
 from ...machine.meshes import make_mesh
 from ...machine.upload import upload
+from ...model.topology import area_vectors
 
 #: Rays in all, at most, and for each face.
 _RAYS, _LEAST, _MOST = 2_000_000, 4, 64
@@ -53,6 +54,6 @@ def visibility(positions: np.ndarray, faces: np.ndarray, opaque: np.ndarray | No
     seen = 2.0 * dr.block_sum(free, n).numpy().astype(np.float64) / n
 
     p = positions[faces]
-    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    area = np.linalg.norm(area_vectors(p), axis=1)
     total, weight = (np.bincount(faces.ravel(), np.repeat(w, 3), len(positions)) for w in (seen * area, area))
     return np.clip(np.divide(total, weight, out=np.zeros(len(positions)), where=weight > 0), 0, 1)

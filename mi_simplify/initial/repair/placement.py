@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array, identity, kron
 from scipy.sparse.linalg import spsolve
 
+from ...model.topology import area_vectors
 from ..closest import ClosestPoints, closest_barycentric, sample_surface
 from ..manifold import edge_pairs
 
@@ -65,7 +66,7 @@ def settle(positions: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -
 def _spread(surface: ClosestPoints, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """About ``n`` points by area, and their faces."""
     c = surface.corners
-    double_area = np.linalg.norm(np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]), axis=1)
+    double_area = np.linalg.norm(area_vectors(c), axis=1)
     points, face = sample_surface(c, double_area, n, seed)
     return points[len(c) :], face[len(c) :]
 
@@ -139,7 +140,7 @@ def _without_folds(p: np.ndarray, displacement: np.ndarray, faces: np.ndarray) -
 
     def normals(x: np.ndarray) -> np.ndarray:
         c = x[faces]
-        return np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])
+        return area_vectors(c)
 
     before = normals(p)
     share = np.ones(len(p))

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
+from ...model.topology import area_vectors
 from ..closest import ClosestPoints, sample_surface
 from ..manifold import edge_pairs
 from .placement import settle
@@ -93,7 +94,7 @@ def _distance(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -> flo
 def _off(p: np.ndarray, faces: np.ndarray, reference: ClosestPoints) -> tuple[np.ndarray, np.ndarray]:
     """Faces that are turned away from the reference or lie far from it, and the latter alone, shape (F,), bool."""
     c = p[faces]
-    normal = np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0])
+    normal = area_vectors(c)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     hit = reference.query(c.mean(1))
     edge = np.median(np.linalg.norm(c - np.roll(c, 1, axis=1), axis=2))

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ...errors import MeshError
 from ...model.mesh import Mesh
-from ...model.topology import normal_groups, vertex_normals
+from ...model.topology import area_vectors, normal_groups, vertex_normals
 from ..manifold import edge_pairs
 
 _ATTEMPTS = (3, 10)
@@ -115,7 +115,7 @@ def _run_xatlas(positions, faces, normals, size: int, padding: int, time_limit: 
         raise _Failed("changed the faces")
     q, p = uvs[out_faces], positions[faces]
     lost = np.abs(_cross(q[:, 1] - q[:, 0], q[:, 2] - q[:, 0])) < 1e-6
-    lost &= np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) * scale**2 > 1e-6
+    lost &= np.linalg.norm(area_vectors(p), axis=1) * scale**2 > 1e-6
     if lost.any():
         raise _Failed(f"left {int(lost.sum())} triangles without texels")
     return index, uvs, out_faces

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...errors import AssetError, RuntimeUnavailable
 from ...model.asset import Asset, Part
+from ...model.color import linear_to_srgb
 from ...model.mesh import Mesh
 from ...model.tangents import vertex_tangents
 from ..shapes import part_normals
@@ -117,8 +118,7 @@ class VtkReference:
         data.SetDimensions(width, height, 1)
         rows = np.ascontiguousarray(image[::-1].reshape(-1, 3), np.float32)
         if srgb:
-            curve = np.where(rows <= 0.0031308, rows * 12.92, 1.055 * np.maximum(rows, 1e-9) ** (1 / 2.4) - 0.055)
-            rows = np.rint(np.clip(curve, 0, 1) * 255).astype(np.uint8)
+            rows = np.rint(linear_to_srgb(rows) * 255).astype(np.uint8)
         data.GetPointData().SetScalars(numpy_to_vtk(rows, deep=True))
         texture = vtk.vtkTexture()
         texture.SetUseSRGBColorSpace(srgb)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ...model.asset import Material, Part
+from ...model.topology import area_vectors
 
 
 def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
@@ -55,7 +56,7 @@ def surface(
     right, below = k + 1, k + columns + 1
     faces = np.concatenate([np.stack([k, below, right], 1), np.stack([right, below, below + 1], 1)])
     p = points[faces]
-    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    area = np.linalg.norm(area_vectors(p), axis=1)
     return Part(points, faces[area > 1e-12], uvs=uvs.astype(np.float32), material=material, name=name)
 
 
