@@ -76,7 +76,8 @@ class Run:
         Returns
         -------
         dict
-            ``held_out_loss`` and ``psnr`` [dB]; ``unpeeled`` where something lies behind all layers, see ``Fit.unpeeled``.
+            ``held_out_loss`` and ``psnr`` [dB]; ``unpeeled`` where something lies behind all layers, see
+            ``Fit.unpeeled``.
         """
         loss, psnr = self.fit.judge()
         if loss < self.least:

@@ -23,8 +23,8 @@ from mi_simplify.judging.pictures import (
     comparison_columns,
     contact_sheet,
     coverage_errors,
-    flip_pictures,
     displayed,
+    flip_pictures,
     signed_difference,
 )
 from mi_simplify.model.asset import Asset, Instance, Material, Part
