@@ -19,8 +19,9 @@ from ..machine import memory
 from ..model.asset import Asset, Instance, Material, Part
 from ..model.color import srgb_to_linear
 from .images import constant, join_channels, rgb, to_float
-from .polygons import fan, split_corners, unique_rows
+from .polygons import split_corners, unique_rows
 from .resources import Resources, read_bytes
+from .triangulate import triangulate
 from .validate import check_indices
 
 _TYPES = {
@@ -72,7 +73,7 @@ def read_ply(path: Path) -> Asset:
     if wedge is not None and (wedge[0] == 2 * counts).all():
         values, index = unique_rows(wedge[1].reshape(-1, 2).astype(np.float64))
         columns.append(index)
-    corners, _ = fan(counts)
+    corners, polygon = triangulate(vertices, flat, counts, path.name)
     if not len(corners):
         raise MeshError(f"{path.name}: there are no faces in it; points alone cannot be rendered")
     first, corner_vertex = split_corners(*(c[corners.reshape(-1)] for c in columns))

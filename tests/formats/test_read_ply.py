@@ -46,8 +46,9 @@ def test_agrees_with_another_writer(tmp_path, encoding):
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_rows_of_different_length(tmp_path, order):
     rng = np.random.default_rng(3)
-    vertices = rng.normal(size=(60, 3))
-    faces = [rng.permutation(60)[: rng.integers(3, 7)] for _ in range(200)]
+    angles = np.arange(60) * 6.0
+    vertices = np.stack([np.cos(np.radians(angles)), np.sin(np.radians(angles)), angles * 1e-4], axis=1)
+    faces = [np.sort(rng.permutation(60)[: rng.integers(3, 7)]) for _ in range(200)]  # convex from above
     name = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
     text = (
         "element vertex 60\nproperty double x\nproperty double y\nproperty double z\n"

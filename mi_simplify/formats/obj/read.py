@@ -15,8 +15,9 @@ import numpy as np
 from ...errors import MeshError
 from ...model.asset import Asset, Instance, Material, Part
 from ...model.color import srgb_to_linear
-from ..polygons import fan, smooth_normals, split_corners
+from ..polygons import smooth_normals, split_corners
 from ..resources import Resources, read_bytes
+from ..triangulate import triangulate
 from ..validate import check_indices
 from .mtl import read_mtl
 
@@ -57,7 +58,7 @@ def read_obj(path: Path) -> Asset:
         # A missing position is as wrong as one out of range; the other two may be missing.
         index = index if column == 0 else index[index >= 0]
         check_indices(index, len(values), path.name, path.stem, what, first=1)
-    corners, polygon = fan(faces.counts)
+    corners, polygon = triangulate(v[:, :3], faces.index[:, 0], faces.counts, path.name)
     owner = owner[polygon]
     order = np.argsort(owner, kind="stable")
     by_key = np.split(corners[order], np.searchsorted(owner[order], np.arange(1, len(keys))))

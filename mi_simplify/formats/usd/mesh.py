@@ -14,8 +14,9 @@ from ...machine import memory
 from ...model.asset import FEWER_INSTANCES, PER_CORNER, Material, Part
 from ...model.rig import Skin
 from ..mapping import Mapping
-from ..polygons import fan, smooth_normals, split_corners, unique_rows
+from ..polygons import smooth_normals, split_corners, unique_rows
 from ..resources import Resources
+from ..triangulate import triangulate
 from ..validate import check_indices
 from .material import bound_material, display_material, material_path, read_usd_material
 from .skeleton import Skeletons
@@ -64,7 +65,7 @@ class Meshes:
         if mesh.GetSubdivisionSchemeAttr().Get() not in (None, "none"):
             scheme = mesh.GetSubdivisionSchemeAttr().Get()
             self.resources.note(f"'{name}' is a {scheme} surface; its control cage is used without subdivision")
-        corners, polygon = fan(counts)
+        corners, polygon = triangulate(points, index, counts, model)
         holes = array(mesh.GetHoleIndicesAttr().Get(TIME), np.int64)
         if len(holes):
             keep = ~np.isin(polygon, holes)
