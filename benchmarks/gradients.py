@@ -39,7 +39,7 @@ STAGES = {
     "forward": ("renderer", "render"),
     "loss": ("module", "frame_loss"),
     "backward": ("renderer", "backward"),
-    "boundary": ("renderer", "_boundary"),
+    "boundary": ("boundary", "backward"),
     "regulariser": ("laplacian", "loss"),
     "texel optimiser": ("texels", "step"),
     "vertex optimiser": ("vertices", "step"),
@@ -225,7 +225,9 @@ def stages(fit, clock: Clock, n_steps: int) -> dict[str, float]:
     import numpy as np
 
     times: dict[str, list[float]] = {name: [] for name in STAGES}
-    owners = {"module": sys.modules[type(fit).__module__], "vertices": fit.shape.vertices}
+    owners = {
+        "module": sys.modules[type(fit).__module__], "vertices": fit.shape.vertices, "boundary": fit.renderer.boundary,
+    }  # fmt: skip
 
     def timed(name: str, call):
         def wrapped(*args, **kwargs):

@@ -48,6 +48,7 @@ class GgxGamma(mi.BSDF):
 
     Two-sided by the *geometric* normal. A shading normal that faces away from the viewer is
     turned continuously towards it (`microfacet.face_viewer`), so that the value has no jump inside a face.
+    Queries of single lobes (`BSDFContext`): component 0 is the diffuse lobe, 1 the glossy one, 2 the null lobe.
     All parameters are differentiable; the derivative of the opacity is that of the null lobe's weight.
 
     .. code-block:: python
@@ -134,26 +135,46 @@ class GgxGamma(mi.BSDF):
             self.metallic.eval_1(si, active),
         )
 
-    def _enabled(self, ctx):
-        return ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0), ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 1)
+    def _enabled(self, ctx: mi.BSDFContext) -> tuple[bool, bool, bool]:
+        """
+        Whether a query asks for the diffuse, the glossy and the null lobe.
+        """
+        types = (mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.Null)
+        diffuse, glossy, null = (ctx.is_enabled(kind, k) for k, kind in enumerate(types))
+        return diffuse, glossy, null and self.opacity is not None
 
     def eval_pdf(self, ctx, si, wo, active=True):
         active = mi.Bool(active)
+        diffuse, glossy, null = self._enabled(ctx)
+        if not (diffuse or glossy):
+            return mi.Spectrum(0), mi.Float(0)
         frame = self.shading_frame(si, active)
         base_color, gamma, roughness, metallic = self._inputs(si, active)
         opacity = self._opacity(si, active)
-        value = microfacet.evaluate(base_color, gamma, roughness, metallic, frame.n, si.wi, wo, self.form)
-        pdf = self._pdf(base_color, gamma, roughness, metallic, frame, si.wi, wo)
+        value = microfacet.evaluate(
+            base_color, gamma, roughness, metallic, frame.n, si.wi, wo, self.form, (diffuse, glossy)
+        )
+        share = self._glossy_share(ctx, base_color, gamma, metallic, dr.dot(frame.n, si.wi))
+        pdf = self._pdf(roughness, share, frame, si.wi, wo)
         return (
             dr.select(active, mi.Spectrum(value * opacity), 0),
-            dr.select(active, dr.detach(pdf * opacity), 0),
+            dr.select(active, dr.detach(pdf * opacity if null else pdf), 0),
         )
 
-    def _pdf(self, base_color, gamma, roughness, metallic, frame, wi, wo):
-        cos_i, cos_o = dr.dot(frame.n, wi), dr.dot(frame.n, wo)
+    def _glossy_share(self, ctx, base_color, gamma, metallic, cos_i):
+        """
+        Probability that a reflection is sampled by the glossy lobe, of those that a query asks for.
+        """
+        diffuse, glossy, _ = self._enabled(ctx)
+        if diffuse and glossy:
+            return microfacet.specular_share(base_color, gamma, metallic, cos_i)
+        return mi.Float(1 if glossy else 0)
+
+    @staticmethod
+    def _pdf(roughness, share, frame, wi, wo):
+        cos_o = dr.dot(frame.n, wo)
         h = dr.normalize(wi + wo)
         alpha2 = dr.square(dr.square(roughness))
-        share = microfacet.specular_share(base_color, gamma, metallic, cos_i)
         glossy = microfacet.visible_normal_pdf(alpha2, frame.n, wi, h)
         return dr.select(cos_o > 0, dr.lerp(cos_o * dr.inv_pi, glossy, share), 0)
 
@@ -165,32 +186,39 @@ class GgxGamma(mi.BSDF):
 
     def sample(self, ctx, si, sample1, sample2, active=True):
         active = mi.Bool(active)
+        diffuse, glossy, null = self._enabled(ctx)
+        if not (diffuse or glossy or null):
+            return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         frame = self.shading_frame(si, active)
         base_color, gamma, roughness, metallic = self._inputs(si, active)
         opacity = self._opacity(si, active)
         wi = frame.to_local(si.wi)
-        share = dr.detach(microfacet.specular_share(base_color, gamma, metallic, wi.z))
-        through = sample1 >= dr.detach(opacity)
-        sample1 = sample1 / dr.maximum(dr.detach(opacity), 1e-6)
-        glossy = sample1 < share
+        share = dr.detach(self._glossy_share(ctx, base_color, gamma, metallic, wi.z))
+        # How likely it is to be reflected: all of the opacity only if the null lobe may be sampled as well.
+        reflects = (dr.detach(opacity) if null else mi.Float(1)) if diffuse or glossy else mi.Float(0)
+        through = sample1 >= reflects
+        sample1 = sample1 / dr.maximum(reflects, 1e-6)
+        is_glossy = sample1 < share
         h = microfacet.sample_visible_normal(dr.square(dr.detach(roughness)), wi, sample2)
         reflected = mi.reflect(wi, mi.Normal3f(h))
-        wo = frame.to_world(dr.select(glossy, reflected, mi.warp.square_to_cosine_hemisphere(sample2)))
+        wo = frame.to_world(dr.select(is_glossy, reflected, mi.warp.square_to_cosine_hemisphere(sample2)))
         wo = dr.detach(dr.select(through, -si.wi, wo))
         value, pdf = self.eval_pdf(ctx, si, wo, active)
         bs = dr.zeros(mi.BSDFSample3f)
         bs.wo = wo
-        bs.pdf = dr.select(through, 1 - dr.detach(opacity), pdf)
+        bs.pdf = dr.select(through, 1 - reflects, pdf)
         bs.eta = 1
-        bs.sampled_component = dr.select(through, mi.UInt32(2), dr.select(glossy, mi.UInt32(1), mi.UInt32(0)))
+        bs.sampled_component = dr.select(through, mi.UInt32(2), dr.select(is_glossy, mi.UInt32(1), mi.UInt32(0)))
         bs.sampled_type = dr.select(
             through,
             mi.UInt32(+mi.BSDFFlags.Null),
-            dr.select(glossy, mi.UInt32(+mi.BSDFFlags.GlossyReflection), mi.UInt32(+mi.BSDFFlags.DiffuseReflection)),
+            dr.select(is_glossy, mi.UInt32(+mi.BSDFFlags.GlossyReflection), mi.UInt32(+mi.BSDFFlags.DiffuseReflection)),
         )
-        # The null lobe's weight is 1 in value; replaced so that its derivative is that of 1 - opacity.
-        null = dr.replace_grad(mi.Float(1), (1 - opacity) / dr.maximum(dr.detach(1 - opacity), 1e-6))
-        weight = dr.select(through, mi.Spectrum(null), value / dr.maximum(pdf, 1e-12))
+        # With both kinds of lobes the null lobe's weight is 1 in value, its derivative that of 1 - opacity.
+        passed = (1 - opacity) / dr.maximum(1 - reflects, 1e-6)
+        if diffuse or glossy:
+            passed = dr.replace_grad(mi.Float(1), passed)
+        weight = dr.select(through, mi.Spectrum(passed), value / dr.maximum(pdf, 1e-12))
         ok = active & (bs.pdf > 0)
         return bs, dr.select(ok, weight, 0)
 

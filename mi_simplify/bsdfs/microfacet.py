@@ -90,7 +90,9 @@ def schlick(f0, cos_d):
     return f0 + (1 - f0) * (dr.square(m2) * m)
 
 
-def evaluate(base_color, gamma, roughness, metallic, n, wi, wo, form: str = "gltf"):
+def evaluate(
+    base_color, gamma, roughness, metallic, n, wi, wo, form: str = "gltf", lobes: tuple[bool, bool] = (True, True)
+):
     """
     BRDF times cosine, ``f(wi, wo) max(n·wo, 0)``.
 
@@ -108,21 +110,25 @@ def evaluate(base_color, gamma, roughness, metallic, n, wi, wo, form: str = "glt
         :data:`MIN_ROUGHNESS`.
     n, wi, wo : mi.Vector3f
         Shading normal (already turned by :func:`face_viewer`), viewer and light directions.
+    lobes : (bool, bool)
+        Whether the diffuse and the glossy one are wanted; both together are their sum.
     """
+    diffuse, glossy = lobes
     cos_i, cos_o = dr.dot(n, wi), dr.dot(n, wo)
     h = wi + wo
     h *= dr.rsqrt(dr.maximum(dr.squared_norm(h), 1e-12))
     cos_d = dr.dot(wi, h)
     alpha2 = dr.square(dr.square(dr.maximum(roughness, MIN_ROUGHNESS)))
     lit = cos_o > 0
-    lobe = ggx_d(alpha2, n, h) * smith_v(alpha2, dr.maximum(cos_i, 1e-4), dr.maximum(cos_o, 1e-4))
+    lobe = ggx_d(alpha2, n, h) * smith_v(alpha2, dr.maximum(cos_i, 1e-4), dr.maximum(cos_o, 1e-4)) if glossy else 0.0
+    albedo = base_color if diffuse else mi.Color3f(0)
     if form == "paper":
         ks = (1 - gamma) * dr.lerp(mi.Color3f(DIELECTRIC_F0), base_color, metallic)
-        value = base_color * (1 - metallic) * dr.inv_pi + schlick(ks, cos_d) * lobe
+        value = albedo * (1 - metallic) * dr.inv_pi + schlick(ks, cos_d) * lobe
     else:
         f_dielectric = schlick(DIELECTRIC_F0 * (1 - gamma), cos_d)
         f_metal = schlick(base_color * (1 - gamma), cos_d)
-        dielectric = dr.fma(base_color, (1 - f_dielectric) * dr.inv_pi, f_dielectric * lobe)
+        dielectric = dr.fma(albedo, (1 - f_dielectric) * dr.inv_pi, f_dielectric * lobe)
         value = dr.lerp(dielectric, f_metal * lobe, metallic)
     return dr.select(lit, value * cos_o, 0)
 

@@ -16,7 +16,9 @@ from ..latent.surface import MeshTopology, Surface
 from ..latent.textures import Textures
 from ..machine.frozen import frozen
 from ..machine.meshes import MovingMesh
+from .camera import Cameras
 from .edge_rays import EdgeRays
+from .edge_samples import EdgeSamples
 from .edge_set import EdgeSet
 from .edges import edge_table
 from .gbuffer import MISS, Hits, kept_hits, trace, with_light
@@ -106,7 +108,7 @@ class Boundary:
         return sides
 
     def _hits(
-        self, frame: RenderedBatch, surface: Surface, textures: Textures, positions: mi.Float, seed
+        self, frame: RenderedBatch, surface: Surface, textures: Textures, positions: mi.Float, seed: mi.UInt32
     ) -> tuple[EdgeRays, Hits] | None:
         """
         Rays to either side of samples on edges that are in view and move, and what they hit; None where there are none.
@@ -138,11 +140,13 @@ class Boundary:
 
 
 @frozen()
-def _edge_samples(edges, positions, cameras, n, seed, image):
+def _edge_samples(
+    edges: EdgeSet, positions: mi.Float, cameras: Cameras, n: int, seed: mi.UInt32, image: mi.Float
+) -> EdgeSamples:
     return edges.sample(positions, cameras, n, seed, image)
 
 
-def _sides(surface, textures, rays, hits, form) -> mi.Float:
+def _sides(surface: Surface, textures: Textures, rays: EdgeRays, hits: Hits, form: str) -> mi.Float:
     """
     What the rays beside all edge samples see, flat.
     """
@@ -162,7 +166,16 @@ def _jumps(rays: EdgeRays, sides: mi.Float) -> tuple[mi.Vector4f, mi.UInt32]:
 
 
 @frozen("hits")
-def _of_hits(surface, textures, rays, hits, form, grad, positions, views_move):
+def _of_hits(
+    surface: Surface,
+    textures: Textures,
+    rays: EdgeRays,
+    hits: Hits,
+    form: str,
+    grad: mi.Float,
+    positions: mi.Float,
+    views_move: bool,
+) -> tuple[mi.Float, mi.Float | float]:
     """
     Derivatives by positions and by the views' packets.
     """
@@ -170,14 +183,21 @@ def _of_hits(surface, textures, rays, hits, form, grad, positions, views_move):
 
 
 @frozen()
-def _of_sides(rays, sides, grad, positions, views_move):
+def _of_sides(
+    rays: EdgeRays, sides: mi.Float, grad: mi.Float, positions: mi.Float, views_move: bool
+) -> tuple[mi.Float, mi.Float | float]:
     """
     The same, from what is seen beside the edges.
     """
     return _carried(rays, sides, grad, positions, views_move)
 
 
-def _carried(rays, sides, grad, positions, views_move):
+def _carried(
+    rays: EdgeRays, sides: mi.Float, grad: mi.Float, positions: mi.Float, views_move: bool
+) -> tuple[mi.Float, mi.Float | float]:
+    """
+    Derivatives by positions and by the views' packets, from those by the flat image.
+    """
     jump, pixel = _jumps(rays, sides)
     positions, views = mi.Float(positions), mi.Float(rays.cameras.packets)
     dr.enable_grad(positions)
@@ -188,7 +208,7 @@ def _carried(rays, sides, grad, positions, views_move):
     return dr.grad(positions), dr.grad(views) if views_move else 0.0
 
 
-def backward_from(array, grad) -> None:
+def backward_from(array: dr.ArrayBase, grad: dr.ArrayBase) -> None:
     """
     Carry the derivative by an array, ``grad``, to all leaves that it depends on.
     """

@@ -151,13 +151,25 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         return block, spp
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+        """
+        As Mitsuba's own: without ``develop`` the image stays on the film and an empty tensor is returned; with
+        ``evaluate`` it is computed before this returns.
+        """
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
         film = sensor.film()
         with dr.suspend_grad():
             block, _ = self._splat(film, sensor, scene, seed, spp, dr.ADMode.Primal)
             film.put_block(block)
-            return film.develop()
+            image = film.develop() if develop else mi.TensorXf()
+            if develop:
+                dr.schedule(image)
+            else:
+                film.schedule_storage()
+            if evaluate:
+                dr.eval()
+                dr.sync_thread()
+            return image
 
     def _attached(self, scene, sensor, seed, spp, mode):
         """

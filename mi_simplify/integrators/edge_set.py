@@ -149,7 +149,7 @@ class EdgeSet:
             outline=self._outline(planes, cameras, view, segment, kind)[0],
         )
 
-    def _density(self, planes: mi.Float, cameras: Cameras, view, segment) -> mi.Float:
+    def _density(self, planes: mi.Float, cameras: Cameras, view: mi.UInt32, segment: _Segment) -> mi.Float:
         """
         Importance of a pixel of edge length: 1 for silhouettes and open edges, less for creases, else 0.
         """
@@ -163,7 +163,9 @@ class EdgeSet:
         return dr.select(front | dr.all((o > low) & (o < high)), weight, 0)
 
     @staticmethod
-    def _outline(planes: mi.Float, cameras: Cameras, view, segment, kind) -> tuple[mi.Bool, mi.Bool]:
+    def _outline(
+        planes: mi.Float, cameras: Cameras, view: mi.UInt32, segment: _Segment, kind: mi.UInt32
+    ) -> tuple[mi.Bool, mi.Bool]:
         """
         Whether an edge is a silhouette or open, and whether one of its faces at least is seen from the front.
         """
@@ -172,7 +174,7 @@ class EdgeSet:
         side0, side1 = (dr.dot(plane.xyz, o) + plane.w > 0 for plane in (plane0, plane1))
         return (side0 != side1) | (kind == OPEN), side0 | side1
 
-    def _segment(self, positions: mi.Float, cameras: Cameras, view: mi.UInt32, edge: mi.UInt32):
+    def _segment(self, positions: mi.Float, cameras: Cameras, view: mi.UInt32, edge: mi.UInt32) -> _Segment:
         """
         The part of an edge in front of the camera and inside the film.
         """
@@ -230,6 +232,10 @@ _NEAR = 1e-3
 
 @dataclass
 class _Segment:
+    """
+    What a film shows of an edge: fractions ``s0 s1`` of it, film positions [pixels] and depths of both ends.
+    """
+
     edge: mi.UInt32
     end0: mi.UInt32
     end1: mi.UInt32

@@ -18,6 +18,7 @@ from .edge_rays import AT_EDGE
 from .edge_samples import EdgeSamples
 from .edge_set import EdgeSet
 from .edges import edge_table
+from .gbuffer import MISS
 
 
 def sensor_cameras(sensor: mi.Sensor) -> Cameras:
@@ -92,7 +93,7 @@ class SceneEdges:
         self._first = [upload(mi.UInt32, g) for g in gather]
         # By the number that Dr.Jit's registry gives a shape, as hits carry it.
         numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in self._shapes]
-        first_face = np.full(max(numbers, default=0) + 1, _NO_FACE)
+        first_face = np.full(max(numbers, default=0) + 1, MISS)
         first_face[numbers] = np.cumsum([0, *map(len, faces)])[:-1]
         self._first_face = upload(mi.UInt32, first_face)
 
@@ -115,7 +116,8 @@ class SceneEdges:
         is_near = dr.squared_norm(si.p - p) < dr.squared_norm(p - origin) * AT_EDGE**2
         number = dr.reinterpret_array(mi.UInt32, si.shape)
         known = number < dr.width(self._first_face)
-        face = dr.gather(mi.UInt32, self._first_face, number, known) + dr.select(known, si.prim_index, _NO_FACE)
+        first = dr.select(known, dr.gather(mi.UInt32, self._first_face, number, known), MISS)
+        face = dr.select(first != MISS, first + si.prim_index, MISS)
         assert self.edges is not None  # there is a sample, so there are edges
         return is_near | self.edges.touches(face, e.end0, e.end1)
 
@@ -154,10 +156,6 @@ class SceneEdges:
             return None
         welded = [dr.ravel(dr.gather(mi.Point3f, p, i)) for p, i in zip(positions, self._first, strict=True)]
         return welded[0] if len(welded) == 1 else dr.concat(welded)
-
-
-#: Index beyond those of all faces, also after one is added to it.
-_NO_FACE = 1 << 31
 
 
 def lights_move(scene: mi.Scene) -> bool:

@@ -5,6 +5,7 @@ Direct light of one point light on the latent surface: what the latent renderer 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -16,7 +17,11 @@ from ..latent.surface import Surface
 from ..latent.texel_gradient import TouchedBlocks
 from ..latent.textures import Texels, Textures
 from ..machine.frozen import frozen
+from .camera import FilmRays, PixelRays
 from .gbuffer import Fragment, Hits, fragment
+
+if TYPE_CHECKING:
+    from .edge_rays import EdgeRays
 
 #: Least cosine that a pixel's footprint is stretched by: what is seen more edge-on is filtered as if it were at this.
 GRAZING = 0.1
@@ -48,8 +53,8 @@ def shade(
     hit: Fragment,
     texels: Texels,
     direction: mi.Vector3f,
-    light_position,
-    light_intensity,
+    light_position: mi.Point3f,
+    light_intensity: mi.Color3f,
     form: str = "gltf",
     ambient: Sequence[mi.Color3f] = (),
 ) -> mi.Vector4f:
@@ -87,14 +92,19 @@ def shade(
 
 
 def shade_hits(
-    surface: Surface, textures: Textures, rays, hits: Hits, form: str, offset: mi.ArrayXf | None = None
+    surface: Surface,
+    textures: Textures,
+    rays: FilmRays | PixelRays | EdgeRays,
+    hits: Hits,
+    form: str,
+    offset: mi.ArrayXf | None = None,
 ) -> tuple[mi.Vector4f, Footprint]:
     """
     Radiance and coverage of rays with known hits.
 
     Parameters
     ----------
-    rays : FilmRays or EdgeRays
+    rays : FilmRays, PixelRays or EdgeRays
     offset : mi.ArrayXf, shape (channels, N), optional
         Added to what is looked up in the textures.
 
@@ -122,7 +132,9 @@ def shade_hits(
 
 
 @frozen("hits")
-def hit_values(surface, textures, rays, hits, form, touch):
+def hit_values(
+    surface: Surface, textures: Textures, rays: FilmRays | PixelRays | EdgeRays, hits: Hits, form: str, touch: bool
+) -> tuple[mi.Vector4f, mi.UInt32 | None]:
     """
     Premultiplied radiance and coverage of every hit, width N, and where ``touch`` asks for it a flag for every block of
     texels that they show.

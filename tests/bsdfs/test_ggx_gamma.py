@@ -205,6 +205,73 @@ def test_eval_pdf_and_sample_agree(form):
     assert dr.all(inactive == 0, axis=None)
 
 
+# --- lobes, each alone -----------------------------------------------------------------------------------------------
+
+DIFFUSE, GLOSSY, NULL = mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.Null
+
+
+def query(lobe, how):
+    """A context that asks for one lobe, by its type or by its component."""
+    ctx = mi.BSDFContext()
+    if how == "type":
+        ctx.type_mask = int(lobe)
+    else:
+        ctx.component = (DIFFUSE, GLOSSY, NULL).index(lobe)
+    return ctx
+
+
+@pytest.mark.parametrize("how", ["type", "component"])
+@pytest.mark.parametrize("form", FORMS)
+def test_lobes_add_up_and_each_is_its_formula(form, how):
+    rng, n = np.random.default_rng(8), 2000
+    b = bsdf(base_color=[0.8, 0.4, 0.1], gamma=0.3, roughness=0.5, metallic=0.4, opacity=0.7, form=form)
+    si, wo = local(directions(rng, n, 0.1)), vec(directions(rng, n, 0.1))
+    whole, diffuse, glossy = (
+        numpy(b.eval(c, si, wo)) for c in (mi.BSDFContext(), query(DIFFUSE, how), query(GLOSSY, how))
+    )
+    assert np.allclose(diffuse + glossy, whole, rtol=1e-4, atol=1e-6)
+    assert diffuse.min() > 0 and glossy.max() > 0.1
+    if form == "paper":
+        lambert = np.float64([0.8, 0.4, 0.1]) * 0.6 * 0.7 / np.pi * numpy(wo)[:, 2:]
+        assert np.allclose(diffuse, lambert, rtol=1e-4)
+    assert dr.all(b.eval(query(NULL, how), si, wo) == 0, axis=None)
+    assert dr.all(b.pdf(query(NULL, how), si, wo) == 0)
+
+
+@pytest.mark.parametrize("how", ["type", "component"])
+@pytest.mark.parametrize(("lobe", "component"), [(DIFFUSE, 0), (GLOSSY, 1), (NULL, 2)])
+def test_a_lobe_alone_is_sampled_alone(lobe, component, how):
+    rng, n = np.random.default_rng(9), 200_000
+    b = bsdf(base_color=[0.8, 0.4, 0.1], gamma=0.3, roughness=0.5, metallic=0.4, opacity=0.7)
+    ctx, si = query(lobe, how), local(np.broadcast_to(unit([0.5, 0.2, 0.8]), (n, 3)))
+    u = rng.random((3, n)).astype(np.float32)
+    bs, weight = b.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))
+    valid = dr.any(weight > 0)
+    assert dr.all(~valid | ((bs.sampled_component == component) & (bs.sampled_type == mi.UInt32(+lobe))))
+    if lobe == NULL:
+        assert dr.all(bs.pdf == 1) and np.allclose(numpy(weight), 0.3, atol=1e-6)
+        assert np.allclose(numpy(bs.wo), -numpy(si.wi))
+        return
+    assert np.allclose(numpy(dr.select(valid, bs.pdf, 1)), numpy(dr.select(valid, b.pdf(ctx, si, bs.wo), 1)), rtol=1e-4)
+    # The mean weight is the albedo of that lobe: the same by uniform directions.
+    uniform = mi.warp.square_to_uniform_hemisphere(mi.Point2f(u[1:]))
+    expected, got = numpy(b.eval(ctx, si, uniform)) * 2 * np.pi, numpy(weight)
+    error = np.hypot(expected.std(0), got.std(0)) / n**0.5
+    assert np.all(np.abs(got.mean(0) - expected.mean(0)) < 4 * error)
+
+
+def test_without_the_null_lobe_all_samples_are_reflected():
+    ctx, n = mi.BSDFContext(), 5000
+    ctx.type_mask = int(DIFFUSE | GLOSSY)
+    b, si = bsdf(opacity=0.4, roughness=0.6), local(np.broadcast_to(unit([0.3, 0.2, 0.9]), (n, 3)))
+    u = np.random.default_rng(10).random((3, n)).astype(np.float32)
+    bs, weight = b.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))
+    assert dr.all(bs.sampled_component < 2) and dr.mean(mi.Float(dr.any(weight > 0)))[0] > 0.9
+    # The weight carries the opacity that the probability leaves out.
+    opaque = bsdf(roughness=0.6).sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))[1]
+    assert np.allclose(numpy(weight), 0.4 * numpy(opaque), rtol=1e-4, atol=1e-6)
+
+
 # --- energy ----------------------------------------------------------------------------------------------------------
 
 

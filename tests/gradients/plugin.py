@@ -59,8 +59,8 @@ class Plugin:
             self.start = {k: v for k, v in self.start.items() if k not in PLANES and k != "normal"}
         if emitter is not None:
             self.start = {k: v for k, v in self.start.items() if not k.startswith("light")}
-        self._mi_scene = self._load(rfilter, emitter, {"type": "direct_edge", "layers": layers, **options})
-        self._params = mi.traverse(self._mi_scene)
+        self.mi_scene = self._load(rfilter, emitter, {"type": "direct_edge", "layers": layers, **options})
+        self._params = mi.traverse(self.mi_scene)
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -158,7 +158,7 @@ class Plugin:
         """
         with dr.suspend_grad():
             self._apply(self._leaves(state))
-            return mi.render(self._mi_scene, spp=spp, seed=seed).numpy()[None]
+            return mi.render(self.mi_scene, spp=spp, seed=seed).numpy()[None]
 
     def gradient(
         self,
@@ -221,4 +221,4 @@ class Plugin:
         An image whose derivative takes ``spp`` samples a pixel; its value is not looked at and takes one.
         """
         counts = {"spp": min(spp, 1), "spp_grad": spp, "seed": seed, "seed_grad": seed + 1}
-        return mi.render(self._mi_scene, self._params, integrator=integrator, **counts)
+        return mi.render(self.mi_scene, self._params, integrator=integrator, **counts)
