@@ -17,6 +17,7 @@ from PIL import Image
 from ..errors import AssetError, UserError
 from ..machine import memory
 from ..model.color import srgb_to_linear
+from . import ktx2
 
 #: Images with more pixels than this are refused before they are decoded.
 MAX_PIXELS = 16384**2
@@ -33,7 +34,7 @@ _DEEPEST = 1032
 
 def decode_image(data: bytes, name: str, model: str) -> np.ndarray:
     """
-    Decode PNG, JPEG, WebP, TIFF, TGA, BMP, EXR or HDR bytes without touching the values.
+    Decode PNG, JPEG, WebP, AVIF, TIFF, TGA, BMP, EXR, HDR or KTX2 bytes without touching the values.
 
     Parameters
     ----------
@@ -56,6 +57,8 @@ def decode_image(data: bytes, name: str, model: str) -> np.ndarray:
     """
     check_image(data, name, model)
     with _as_asset_errors(name, model):
+        if data.startswith(ktx2.MAGIC):
+            return ktx2.decode_ktx2(data, name, model)
         if _is_for_mitsuba(data):
             return _decode_with_mitsuba(data)
         with _opened(data) as image:
@@ -67,7 +70,9 @@ def check_image(data: bytes, name: str, model: str) -> tuple[int, int]:
     Width and height that an image declares in its header, checked; parameters and errors as of :func:`decode_image`.
     """
     with _as_asset_errors(name, model):
-        if _is_for_mitsuba(data):
+        if data.startswith(ktx2.MAGIC):
+            size, least = ktx2.ktx2_size(data), 1
+        elif _is_for_mitsuba(data):
             size, least = _header_size(data), 32
         else:
             with _opened(data) as image:

@@ -67,25 +67,39 @@ def read_ply(path: Path) -> Asset:
     check_indices(flat, len(vertices), path.name, path.stem)
     normals = _columns(vertex, ("nx", "ny", "nz"))
     colors = _colors(vertex)
+    face_colors = _colors(face) if face else None
+    if colors is not None and face_colors is not None:
+        resources.note("colours of faces were left out: the vertices have colours, too")
+        face_colors = None
     uvs = next((uv for names in _UV_NAMES if (uv := _columns(vertex, names)) is not None), None)
     keep, columns = flat, [flat]
-    wedge = lists.get("texcoord")
+    wedge, wedge_uvs = lists.get("texcoord"), None
     if wedge is not None and (wedge[0] == 2 * counts).all():
-        values, index = unique_rows(wedge[1].reshape(-1, 2).astype(np.float64))
+        wedge_uvs, index = unique_rows(wedge[1].reshape(-1, 2).astype(np.float64))
         columns.append(index)
+    if face_colors is not None:
+        face_values, index = unique_rows(face_colors)
+        columns.append(np.repeat(index, counts))
     corners, polygon = triangulate(vertices, flat, counts, path.name)
     if not len(corners):
         raise MeshError(f"{path.name}: there are no faces in it; points alone cannot be rendered")
     first, corner_vertex = split_corners(*(c[corners.reshape(-1)] for c in columns))
     chosen = corners.reshape(-1)[first]
     keep = flat[chosen]
-    uvs = values[columns[1][chosen]] if len(columns) > 1 else None if uvs is None else uvs[keep]
+    if wedge_uvs is not None:
+        uvs = wedge_uvs[columns[1][chosen]]
+    elif uvs is not None:
+        uvs = uvs[keep]
+    if colors is not None:
+        colors = colors[keep]
+    elif face_colors is not None:
+        colors = face_values[columns[-1][chosen]]
     material = _material(textures, uvs, colors, resources)
     part = Part(
         vertices[keep], corner_vertex.reshape(-1, 3),
         normals=None if normals is None else normals[keep],
         uvs=None if uvs is None else np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1),
-        colors=None if colors is None else colors[keep],
+        colors=colors,
         material=material, name=path.stem,
     )  # fmt: skip
     return Asset((part,), (Instance(0, name=path.stem),), notes=tuple(notes))
@@ -241,7 +255,7 @@ def _columns(element: _Element, names: tuple[str, ...]) -> np.ndarray | None:
 
 
 def _colors(vertex: _Element) -> np.ndarray | None:
-    """Linear vertex colours and opacity, shape (V, 4)."""
+    """Linear colours and opacity of vertices or faces, shape (N, 4)."""
     names = next((n for n in _COLOR_NAMES if set(n) <= set(vertex.columns)), None)
     if names is None:
         return None

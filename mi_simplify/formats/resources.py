@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 import urllib.parse
-from pathlib import Path, PureWindowsPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 
@@ -59,7 +59,7 @@ class Resources:
         self.notes = notes
         self._images: dict[object, np.ndarray] = {}
 
-    def find(self, uri: str, what: str) -> Path:
+    def find(self, uri: str, what: str, beside: Path | None = None) -> Path:
         """
         The file that a name in the model means; every reader resolves names here (USD's go through its own resolver).
 
@@ -69,6 +69,8 @@ class Resources:
             Relative or absolute path with either kind of slash.
         what : str
             'texture', 'buffer', …, for the message.
+        beside : Path, optional
+            The file that names it, whose folder is looked into before the model's.
 
         Raises
         ------
@@ -78,16 +80,24 @@ class Resources:
             There is, but outside the model's folder: a model from elsewhere could show anything of this machine.
         """
         folder = self.model.parent
+        folders = list(dict.fromkeys((folder if beside is None else beside.parent, folder)))
         # Paths of the author's own machine, 'C:\work\x.png', are common in MTL files; the file itself lies beside it.
-        slashed, beside = uri.replace("\\", "/"), PureWindowsPath(uri).name
-        found = [folder / name for name in dict.fromkeys((uri, slashed, beside)) if is_file(folder / name)]
-        for path in found:
-            if self.holds(path):
-                if path == folder / beside and beside != slashed:
-                    self.note(f"{what} '{printable(uri)}' was taken from '{path.name}' beside the model")
-                return path
+        slashed, last = uri.replace("\\", "/"), PureWindowsPath(uri).name
+        names = dict.fromkeys((uri, slashed, last))
+        found = [(f, name) for name in names for f in folders if is_file(f / name)]
+        for f, name in found:
+            if self.holds(f / name):
+                if name not in (uri, slashed):
+                    self.note(f"{what} '{printable(uri)}' was taken from '{name}' beside the model")
+                return f / name
         if found:
             raise self.outside(uri, what)
+        for f in folders:
+            for name in names:
+                path = _whatever_case(f, name)
+                if path is not None and self.holds(path):
+                    self.note(f"{what} '{printable(uri)}' was taken from '{path.relative_to(f)}', spelt differently")
+                    return path
         raise MissingFile(f"{self.model.name}: {what} '{printable(uri)}' does not exist; put it into {folder}")
 
     def holds(self, path: Path) -> bool:
@@ -117,11 +127,11 @@ class Resources:
         plain = self.model.parent / uri
         return plain if is_file(plain) and self.holds(plain) else self.find(urllib.parse.unquote(uri), what)
 
-    def image(self, uri: str) -> np.ndarray:
+    def image(self, uri: str, beside: Path | None = None) -> np.ndarray:
         """
-        A texture file, decoded; shape (H, W, C), see :func:`decode_image`.
+        A texture file, decoded; shape (H, W, C), see :func:`decode_image`; parameters as of :meth:`find`.
         """
-        path = self.find(uri, "texture")
+        path = self.find(uri, "texture", beside)
         return self.embedded_image(path, lambda: read_bytes(path, f"{self.model.name}: texture"), path.name)
 
     def embedded_image(self, key: object, data, name: str) -> np.ndarray:
@@ -146,6 +156,41 @@ class Resources:
         line = printable(line, 400)
         if line not in self.notes:
             self.notes.append(line)
+
+
+def as_utf8(data: bytes) -> bytes:
+    """
+    Text of a file in UTF-8 without a byte order mark; UTF-16, with a mark or without, is converted.
+    """
+    if data.startswith(b"\xef\xbb\xbf"):
+        return data[3:]
+    head = data[:64]
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        encoding = "utf-16"
+    elif len(head) > 3 and not any(head[1::2]) and all(head[::2]):
+        encoding = "utf-16-le"
+    elif len(head) > 3 and not any(head[::2]) and all(head[1::2]):
+        encoding = "utf-16-be"
+    else:
+        return data
+    return data.decode(encoding, "replace").encode()
+
+
+def _whatever_case(folder: Path, name: str) -> Path | None:
+    """A file below a folder whose name differs in upper and lower case alone, if there is just one."""
+    path = folder
+    try:
+        for part in PurePosixPath(name).parts:
+            if part in ("..", ".") or (path / part).exists():
+                path = path / part
+                continue
+            found = [p for p in path.iterdir() if p.name.lower() == part.lower()]
+            if len(found) != 1:
+                return None
+            path = found[0]
+    except (OSError, ValueError):
+        return None
+    return path if is_file(path) else None
 
 
 def printable(text: str, longest: int = 120) -> str:

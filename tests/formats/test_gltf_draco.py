@@ -76,3 +76,18 @@ def test_without_the_package_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "DracoPy", None)
     with pytest.raises(AssetError, match=r"pip install 'mi-simplify\[draco\]'"):
         load_asset(compressed().save(tmp_path / "a.glb"))
+
+
+def test_a_file_that_only_uses_draco_is_read_where_it_has_no_plain_copy(tmp_path, monkeypatch):
+    glb = compressed()
+    del glb.json["extensionsRequired"]
+    (part,) = load_asset(glb.save(tmp_path / "a.glb")).parts
+    assert np.abs(part.vertices - SPHERE.vertices).max() < 4 / 2**16
+    monkeypatch.setitem(sys.modules, "DracoPy", None)
+    for key, index in glb.json["meshes"][0]["primitives"][0]["attributes"].items():
+        values = {"POSITION": SPHERE.vertices, "NORMAL": SPHERE.vertices, "TEXCOORD_0": SPHERE.uvs}[key]
+        glb.json["accessors"][index]["bufferView"] = glb.view(values.astype("f4").tobytes())
+    indices = glb.json["accessors"][glb.json["meshes"][0]["primitives"][0]["indices"]]
+    indices["bufferView"] = glb.view(SPHERE.faces.astype("u4").tobytes())
+    (part,) = load_asset(glb.save(tmp_path / "b.glb")).parts
+    np.testing.assert_allclose(part.vertices, SPHERE.vertices, atol=1e-6)

@@ -253,7 +253,7 @@ def test_unused_vertices_do_not_count(glb, tmp_path):
 def test_truncated_glb(glb, tmp_path, length):
     glb.mesh(glb.quad(textured(glb)))
     (tmp_path / "cut.glb").write_bytes(glb.bytes()[:length])
-    with pytest.raises(AssetError, match="cut.glb: the GLB file is truncated"):
+    with pytest.raises(AssetError, match="cut.glb: .* truncated"):
         load_asset(tmp_path / "cut.glb")
 
 
@@ -305,7 +305,7 @@ def missing_image(glb):
         (broken_json, AssetError, "a.glb: its JSON cannot be read"),
         (no_meshes, MeshError, "a.glb: there are no faces in it"),
         (edited(asset={"version": "1.0"}), AssetError, "glTF version '1.0' is not 2.0"),
-        (edited(extensionsRequired=["EXT_meshopt_compression"]), AssetError, "extension EXT_meshopt_compression"),
+        (edited(extensionsRequired=["EXT_future"]), AssetError, "extension EXT_future"),
         (edited(nodes=[{"mesh": 0, "children": [0]}]), AssetError, "nodes.0. has two parents or lies on a loop"),
         (edited(nodes=[{"mesh": 5}]), AssetError, "refers to meshes.5., which does not exist"),
         (edited(nodes=[{"mesh": 0, "scale": [np.nan, 1, 1]}]), MeshError, "the transform of 'node_0' is not finite"),

@@ -181,3 +181,39 @@ def test_broken_meshes(tmp_path, text, message):
     with pytest.raises(MeshError, match=message) as error:
         load_asset(write(tmp_path, text))
     assert "quad.obj" in str(error.value) and "\n" not in str(error.value)
+
+
+def test_textures_are_looked_for_beside_their_library_then_beside_the_model(tmp_path):
+    (tmp_path / "materials").mkdir()
+    obj = QUAD.replace("quad.mtl", "materials/quad.mtl")
+    (tmp_path / "quad.obj").write_text(obj)
+    (tmp_path / "materials" / "quad.mtl").write_text("newmtl paint\nmap_Kd image.png\nmap_Pr beside.png\n")
+    (tmp_path / "materials" / "image.png").write_bytes(png(corner_pixels()))
+    (tmp_path / "image.png").write_bytes(png(np.zeros((8, 8, 3), np.uint8)))  # the library's own comes first
+    (tmp_path / "beside.png").write_bytes(png(np.full((2, 2), 51, np.uint8)))
+    asset = load_asset(tmp_path / "quad.obj")
+    assert_corner_colors(asset.parts[0])
+    np.testing.assert_allclose(asset.parts[0].material.specular[..., 1], 0.2, atol=1e-6)
+    assert asset.notes == ()
+
+
+def test_names_that_differ_in_case_are_found_and_noted(tmp_path):
+    (tmp_path / "Textures").mkdir()
+    (tmp_path / "Textures" / "Image.PNG").write_bytes(png(corner_pixels()))
+    (tmp_path / "Quad.MTL").write_text("newmtl paint\nmap_Kd textures\\image.png\n")
+    (tmp_path / "quad.obj").write_text(QUAD)
+    asset = load_asset(tmp_path / "quad.obj")
+    assert_corner_colors(asset.parts[0])
+    assert asset.notes == (
+        "material library 'quad.mtl' was taken from 'Quad.MTL', spelt differently",
+        "texture 'textures\\image.png' was taken from 'Textures/Image.PNG', spelt differently",
+    )
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8-sig"])
+def test_text_in_other_encodings(tmp_path, encoding):
+    (tmp_path / "quad.obj").write_bytes(QUAD.encode(encoding))
+    (tmp_path / "quad.mtl").write_bytes("newmtl paint\nKd 1 0 0\n".encode(encoding))
+    (part,) = load_asset(tmp_path / "quad.obj").parts
+    np.testing.assert_allclose(part.vertices[:, :2].max(0), [1, 1])
+    np.testing.assert_allclose(part.material.base_color[0, 0], [1, 0, 0, 1])

@@ -132,3 +132,48 @@ def test_broken_stl(tmp_path):
     path.write_bytes(b"hello")
     with pytest.raises(MeshError, match="this is no STL file"):
         load_asset(path)
+
+
+@pytest.mark.parametrize("with_vertex_colors", [False, True])
+def test_colours_of_faces(tmp_path, with_vertex_colors):
+    """Two triangles of a quad, red and blue: their shared vertices are there twice."""
+    rgb = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+    text = "element vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    text += (rgb if with_vertex_colors else "") + "element face 2\nproperty list uchar int vertex_indices\n" + rgb
+    rows = [f"{x} {y} {z}" + (" 0 255 0" if with_vertex_colors else "") for x, y, z in QUAD]
+    rows += ["3 0 1 2 255 0 0", "3 0 2 3 0 0 128"]
+    (tmp_path / "a.ply").write_bytes(header("ascii", text + "end_header\n") + "\n".join(rows).encode())
+    asset = load_asset(tmp_path / "a.ply")
+    (part,) = asset.parts
+    assert part.colors is not None
+    if with_vertex_colors:
+        np.testing.assert_array_equal(part.colors, [[0, 1, 0, 1]] * 4)
+        assert asset.notes == ("colours of faces were left out: the vertices have colours, too",)
+        return
+    assert len(part.vertices) == 6 and asset.notes == ()
+    dark = srgb_to_linear(np.array(128 / 255))
+    np.testing.assert_allclose(part.colors[part.faces], [[[1, 0, 0, 1]] * 3, [[0, 0, dark, 1]] * 3], atol=1e-6)
+    np.testing.assert_array_equal(part.material.base_color, [[[1, 1, 1, 1]]])
+
+
+@pytest.mark.parametrize("convention", ["VisCAM", "Magics", "header alone", "none"])
+def test_colours_of_stl_facets(tmp_path, convention):
+    facets = np.zeros(3, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    facets["corners"] = QUAD[[[0, 1, 2], [0, 2, 3], [0, 1, 3]]]
+    red, own = (31 << 10, 1 << 15) if convention == "VisCAM" else (31, 0)
+    if convention in ("VisCAM", "Magics"):
+        facets["attribute"] = [red | own, (16 << 5) | own, own ^ (1 << 15)]
+    head = b"" if convention in ("VisCAM", "none") else b"COLOR=" + bytes([0, 255, 0, 255]) + b",MATERIAL="
+    (tmp_path / "a.stl").write_bytes(head.ljust(80, b" ") + struct.pack("<I", 3) + facets.tobytes())
+    (part,) = load_asset(tmp_path / "a.stl").parts
+    if convention == "none":
+        assert part.colors is None and len(part.vertices) == 4
+        return
+    assert part.colors is not None
+    half = srgb_to_linear(np.array(16 / 31))
+    rest = [0.5] * 3 if convention == "VisCAM" else [0, 1, 0]
+    expected = [rest] * 3 if convention == "header alone" else [[1, 0, 0], [0, half, 0], rest]
+    np.testing.assert_allclose(
+        part.colors[part.faces][..., :3], np.repeat(np.array(expected)[:, None], 3, 1), atol=1e-6
+    )
+    np.testing.assert_array_equal(part.material.base_color, [[[1, 1, 1, 1]]])

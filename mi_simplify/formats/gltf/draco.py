@@ -33,14 +33,21 @@ def draco_accessors(file: GltfFile) -> dict[int, np.ndarray]:
         The package DracoPy is not installed, a compressed mesh is broken, or is not what its accessors declare.
     """
     out: dict[int, np.ndarray] = {}
-    if EXTENSION not in file.json.get("extensionsRequired", []):  # where it has a plain copy as well, that is read
-        return out
+    is_required = EXTENSION in file.json.get("extensionsRequired", [])
     for mesh in file.json.get("meshes", []):
         for primitive in mesh.get("primitives", []):
             packed = (primitive.get("extensions") or {}).get(EXTENSION)
-            if packed is not None:
+            # Where it has a plain copy as well, that is read.
+            if packed is not None and (is_required or _is_bare(file, primitive)):
                 out.update(_decoded(file, primitive, packed))
     return out
+
+
+def _is_bare(file: GltfFile, primitive: dict[str, Any]) -> bool:
+    """Whether accessors of a primitive have no data of their own."""
+    indices = [*(primitive.get("attributes") or {}).values(), primitive.get("indices")]
+    accessors = [file.item("accessors", index) for index in indices if index is not None]
+    return any(a.get("bufferView") is None and "sparse" not in a for a in accessors)
 
 
 def _decoded(file: GltfFile, primitive: dict[str, Any], packed: dict[str, Any]) -> dict[int, np.ndarray]:

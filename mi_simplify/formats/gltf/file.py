@@ -15,7 +15,8 @@ import numpy as np
 
 from ...errors import AssetError
 from ...machine import memory
-from ..resources import Resources, read_bytes
+from ..resources import Resources, as_utf8, read_bytes
+from .meshopt import compression, decompressed
 
 #: Extensions that a file may *require*; those without a word in the reader are harmless to ignore.
 SUPPORTED = {
@@ -24,13 +25,9 @@ SUPPORTED = {
     "KHR_materials_transmission", "KHR_materials_volume", "KHR_materials_iridescence", "KHR_materials_anisotropy",
     "KHR_materials_dispersion", "KHR_materials_variants", "KHR_materials_pbrSpecularGlossiness", "KHR_lights_punctual",
     "KHR_xmp_json_ld", "EXT_mesh_gpu_instancing", "EXT_texture_webp", "KHR_animation_pointer", "MSFT_lod",
-    "KHR_draco_mesh_compression",
+    "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_texture_basisu",
+    "EXT_texture_avif", "KHR_materials_diffuse_transmission", "KHR_materials_volume_scatter", "KHR_node_visibility",
 }  # fmt: skip
-
-_REMEDY = {
-    "EXT_meshopt_compression": "decompress it, for instance with 'gltf-transform copy'",
-    "KHR_texture_basisu": "convert its textures to PNG, for instance with 'gltf-transform ktxdecompress'",
-}
 
 _DTYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -63,15 +60,17 @@ class GltfFile:
             raise AssetError(f"{self.name}: glTF version '{version}' is not 2.0; convert the file to glTF 2.0")
         for extension in self.json.get("extensionsRequired", []):
             if extension not in SUPPORTED:
-                remedy = _REMEDY.get(extension, "export the file without it")
-                raise AssetError(f"{self.name}: it requires the unsupported extension {extension}; {remedy}")
+                raise AssetError(
+                    f"{self.name}: it requires the unsupported extension {extension}; export the file without it"
+                )
         self._buffers: dict[int, bytes] = {}
+        self._decompressed: dict[int, bytes] = {}
         self.decoded: dict[int, np.ndarray] = {}
         """Accessors whose data came out of a compressed mesh, shape (N, C) or (N,), as stored."""
 
     def _parse(self, text: bytes) -> dict[str, Any]:
         try:
-            out = json.loads(text.decode("utf-8-sig"))
+            out = json.loads(as_utf8(text).rstrip(b"\0 ").decode())
         except (ValueError, RecursionError) as error:
             raise AssetError(f"{self.name}: its JSON cannot be read ({error}); export the file again") from error
         if not isinstance(out, dict):
@@ -82,19 +81,22 @@ class GltfFile:
         if len(data) < 20:
             raise AssetError(f"{self.name}: the GLB file is truncated after {len(data)} bytes; copy or export it again")
         length = struct.unpack_from("<I", data, 8)[0]
-        if length > len(data):
+        if length > len(data) + 3:  # less is padding that was never written
             raise AssetError(
                 f"{self.name}: the GLB file is truncated: its header promises {length} bytes, it has {len(data)}; "
                 "copy or export it again"
             )
-        at = 12
+        at, length = 12, min(length, len(data))
         chunks: dict[bytes, bytes] = {}
         while at + 8 <= length:
             size, kind = struct.unpack_from("<I4s", data, at)
-            if at + 8 + size > length:
+            if at + 8 + size > length + 3:
                 raise AssetError(f"{self.name}: the GLB file is truncated inside a chunk; copy or export it again")
-            chunks.setdefault(kind, data[at + 8 : at + 8 + size])
-            at += 8 + size + (-size) % 4
+            chunks.setdefault(kind, data[at + 8 : min(at + 8 + size, length)])
+            at += 8 + size
+            padded = at + -size % 4  # a length counts its padding, but some writers leave it out
+            if size % 4 and data[at + 4 : at + 8] != b"BIN\0" and data[padded + 4 : padded + 8] == b"BIN\0":
+                at = padded
         if b"JSON" not in chunks:
             raise AssetError(f"{self.name}: the GLB file has no JSON chunk; export it again")
         return self._parse(chunks[b"JSON"]), chunks.get(b"BIN\0")
@@ -123,6 +125,14 @@ class GltfFile:
         The bytes of a buffer view.
         """
         view = self.item("bufferViews", index)
+        if (packed := compression(view)) is not None:
+            if index not in self._decompressed:
+                self._decompressed[index] = decompressed(packed, self._slice(packed, index), index, self.name)
+            return memoryview(self._decompressed[index])
+        return self._slice(view, index)
+
+    def _slice(self, view: dict[str, Any], index: int) -> memoryview:
+        """The bytes of a buffer that a view, or the extension that stands for it, names."""
         data = self._buffer(view.get("buffer", 0))
         begin, length = view.get("byteOffset", 0), view["byteLength"]
         if begin < 0 or length < 0 or begin + length > len(data):

@@ -149,7 +149,9 @@ class _MaterialReader:
             return None
         texture = self.file.item("textures", info.get("index"))
         extensions = texture.get("extensions") or {}
-        source = (extensions.get("EXT_texture_webp") or {}).get("source", texture.get("source"))
+        sources = [(extensions.get(f"EXT_texture_{kind}") or {}).get("source") for kind in ("webp", "avif")]
+        sources += [texture.get("source"), (extensions.get("KHR_texture_basisu") or {}).get("source")]
+        source = next((s for s in sources if s is not None), None)
         if source is None:
             kind = ", ".join(extensions) or "no source"
             raise AssetError(

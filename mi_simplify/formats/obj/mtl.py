@@ -9,12 +9,14 @@ replaces it.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from ...model.asset import Material
 from ...model.color import srgb_to_linear
 from ..images import constant, is_normal_map, join_channels, opacity, rgb, to_float, unit_normals
-from ..resources import MissingFile, Resources, printable, read_bytes
+from ..resources import MissingFile, Resources, as_utf8, printable, read_bytes
 
 #: Arguments that each option of a texture statement takes at most; numbers only for ``-o -s -t``.
 _OPTIONS = {
@@ -52,22 +54,37 @@ def read_mtl(name: str, resources: Resources) -> dict[str, Material]:
                     f"material library '{printable(part)}' does not exist; its materials are the default grey"
                 )
     statements: dict[str, dict[str, str]] = {}
+    places: dict[str, Path] = {}
     for path in paths:
         current: dict[str, str] = {}
-        text = read_bytes(path, f"{resources.model.name}: material library").decode("utf-8", "replace")
-        for line in text.replace("\\\n", " ").splitlines():
+        data = read_bytes(path, f"{resources.model.name}: material library")
+        for line in as_utf8(data).decode("utf-8", "replace").replace("\\\n", " ").splitlines():
             words = line.split(None, 1)
             key, value = (words + ["", ""])[:2]
             key, value = key.lower(), value.strip()
             if key == "newmtl":
                 current = statements.setdefault(value, {})
+                places[value] = path
             elif key and not key.startswith("#"):
                 current[key] = value
-    return {name: _material(name, values, resources) for name, values in statements.items()}
+    return {name: _material(name, values, _Library(resources, places[name])) for name, values in statements.items()}
 
 
-def _material(name: str, values: dict[str, str], resources: Resources) -> Material:
-    color_map = _texture(values, "map_kd", resources)
+class _Library:
+    """A library's file: where the names in it are looked for first."""
+
+    def __init__(self, resources: Resources, path: Path):
+        self._resources, self._path = resources, path
+
+    def image(self, uri: str) -> np.ndarray:
+        return self._resources.image(uri, self._path)
+
+    def note(self, line: str) -> None:
+        self._resources.note(line)
+
+
+def _material(name: str, values: dict[str, str], library: _Library) -> Material:
+    color_map = _texture(values, "map_kd", library)
     numbers = _numbers(values.get("kd"))
     if color_map is not None:
         color = to_float(rgb(color_map), srgb=True)
@@ -75,24 +92,24 @@ def _material(name: str, values: dict[str, str], resources: Resources) -> Materi
         color = srgb_to_linear(constant(*(numbers * 3)[:3] if len(numbers) < 3 else numbers[:3]))
     else:
         color = Material().base_color[..., :3]
-    alpha, mode = _opacity(name, values, resources)
-    roughness = _scalar(values, "pr", "map_pr", 0.5, resources)
-    metallic = _scalar(values, "pm", "map_pm", 0.0, resources)
+    alpha, mode = _opacity(name, values, library)
+    roughness = _scalar(values, "pr", "map_pr", 0.5, library)
+    metallic = _scalar(values, "pm", "map_pm", 0.0, library)
     for key, meaning in _LEFT_OUT.items():
         if key in values:
-            resources.note(f"{meaning} texture of material '{name}' ({key}) was left out")
+            library.note(f"{meaning} texture of material '{name}' ({key}) was left out")
     if any(_numbers(values.get("ke"))):
-        resources.note(f"emission of material '{name}' (Ke) was left out")
+        library.note(f"emission of material '{name}' (Ke) was left out")
     return Material(
         name=name,
         base_color=join_channels(color, alpha),
         specular=join_channels(constant(0), roughness, metallic),
-        normal=_normal_map(name, values, resources),
+        normal=_normal_map(name, values, library),
         alpha_mode=mode,
     )
 
 
-def _opacity(name: str, values: dict[str, str], resources: Resources) -> tuple[np.ndarray, str]:
+def _opacity(name: str, values: dict[str, str], library: _Library) -> tuple[np.ndarray, str]:
     """Opacity, shape (H, W, 1), and the alpha mode."""
     factor = 1.0
     if tr := _numbers(values.get("tr")):
@@ -101,9 +118,9 @@ def _opacity(name: str, values: dict[str, str], resources: Resources) -> tuple[n
         factor = d[0]
     if factor <= 0:
         # Some exporters mean the opposite of the specification; an invisible mesh is not what anyone sends.
-        resources.note(f"material '{name}' is fully transparent (d, Tr) and was taken as opaque")
+        library.note(f"material '{name}' is fully transparent (d, Tr) and was taken as opaque")
         factor = 1.0
-    image = _texture(values, "map_d", resources)
+    image = _texture(values, "map_d", library)
     if image is None:
         return constant(min(factor, 1.0)), "BLEND" if factor < 1 else "OPAQUE"
     channel = opacity(image)
@@ -113,30 +130,30 @@ def _opacity(name: str, values: dict[str, str], resources: Resources) -> tuple[n
     return alpha * np.float32(min(factor, 1.0)), "MASK" if is_cut_out else "BLEND"
 
 
-def _scalar(values: dict[str, str], key: str, map_key: str, default: float, resources: Resources) -> np.ndarray:
-    image = _texture(values, map_key, resources)
+def _scalar(values: dict[str, str], key: str, map_key: str, default: float, library: _Library) -> np.ndarray:
+    image = _texture(values, map_key, library)
     if image is not None:
         return np.clip(to_float(image[..., :1], srgb=False), 0, 1)
     number = _numbers(values.get(key))
     return constant(min(max(number[0], 0.0), 1.0) if number else default)
 
 
-def _normal_map(name: str, values: dict[str, str], resources: Resources) -> np.ndarray | None:
+def _normal_map(name: str, values: dict[str, str], library: _Library) -> np.ndarray | None:
     for key in ("norm", "map_kn"):
-        image = _texture(values, key, resources)
+        image = _texture(values, key, library)
         if image is not None:
             return unit_normals(to_float(rgb(image), srgb=False) * 2 - 1)
     for key in ("map_bump", "bump"):
-        image = _texture(values, key, resources)
+        image = _texture(values, key, library)
         if image is not None and is_normal_map(image):  # Blender and others write normal maps there
-            resources.note(f"{key} of material '{name}' holds a normal map and is used as one")
+            library.note(f"{key} of material '{name}' holds a normal map and is used as one")
             return unit_normals(to_float(rgb(image), srgb=False) * 2 - 1)
         if image is not None:
-            resources.note(f"bump map of material '{name}' ({key}) was left out: it holds heights, not normals")
+            library.note(f"bump map of material '{name}' ({key}) was left out: it holds heights, not normals")
     return None
 
 
-def _texture(values: dict[str, str], key: str, resources: Resources) -> np.ndarray | None:
+def _texture(values: dict[str, str], key: str, library: _Library) -> np.ndarray | None:
     """The decoded image of a texture statement, shape (H, W, C), or None."""
     words = values.get(key, "").split(" ")
     while words and (words[0] == "" or words[0].lower() in _OPTIONS):
@@ -149,9 +166,9 @@ def _texture(values: dict[str, str], key: str, resources: Resources) -> np.ndarr
             arguments.append(words.pop(0))
         neutral = {"-o": 0.0, "-t": 0.0, "-s": 1.0, "-bm": 1.0}.get(option)
         if neutral is not None and any(_is_number(a) and float(a) != neutral for a in arguments):
-            resources.note(f"option '{option} {' '.join(arguments)}' of {key} was left out")
+            library.note(f"option '{option} {' '.join(arguments)}' of {key} was left out")
     uri = " ".join(words).strip().strip('"')
-    return resources.image(uri) if uri else None
+    return library.image(uri) if uri else None
 
 
 def _is_number(word: str) -> bool:

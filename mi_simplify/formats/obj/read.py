@@ -16,7 +16,7 @@ from ...errors import MeshError
 from ...model.asset import Asset, Instance, Material, Part
 from ...model.color import srgb_to_linear
 from ..polygons import smooth_normals, split_corners
-from ..resources import Resources, read_bytes
+from ..resources import Resources, as_utf8, read_bytes
 from ..triangulate import triangulate
 from ..validate import check_indices
 from .mtl import read_mtl
@@ -37,7 +37,7 @@ def read_obj(path: Path) -> Asset:
     """
     notes: list[str] = []
     resources = Resources(path, notes)
-    lines = _Lines(read_bytes(path, "OBJ file"), path.name)
+    lines = _Lines(as_utf8(read_bytes(path, "OBJ file")), path.name)
     v, n_v = lines.table(b"v")
     vt, n_vt = lines.table(b"vt")
     vn, _ = lines.table(b"vn")
@@ -167,7 +167,7 @@ class _Lines:
 
     def __init__(self, data: bytes, model: str):
         self.model = model
-        data = data.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\\\n", b"  ")
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\\\n", b"  ")
         if re.search(rb"(?m)^[ \t]", data):
             data = re.sub(rb"(?m)^[ \t]+", b"", data)
         self._bytes = np.frombuffer(data + b"\n", np.uint8)
