@@ -237,7 +237,7 @@ def test_morph_targets_lines_and_emission_are_noted(glb, tmp_path):
     primitive["targets"] = [{"POSITION": primitive["attributes"]["POSITION"]}]
     glb.mesh(primitive, {**glb.quad(), "mode": 1})
     notes = " | ".join(load_asset(glb.save(tmp_path / "a.glb")).notes)
-    assert "morph targets of 'quad_0'" in notes
+    assert "morph targets of 'quad_0' were left out; it is shown with their default weights" in notes
     assert "emission of material 'lamp' was left out" in notes
     assert "a primitive of 'quad_1' was left out: lines" in notes
 
@@ -347,3 +347,22 @@ def test_an_instance_knows_the_nodes_above_it(tmp_path):
     assert {(i.name, i.node) for i in asset.instances} == {
         ("leaf", "plant.0/twig.1"), ("leaf", "plant.0/twig.2"), ("node_5", ""),
     }  # fmt: skip
+
+
+def test_default_weights_of_morph_targets_are_applied(glb, tmp_path):
+    primitive = glb.quad(NORMAL=np.tile(np.float32([0, 0, 1]), (4, 1)))
+    up, right = np.zeros((4, 3), "f4"), np.zeros((4, 3), "f4")
+    up[2:, 2], right[:, 0] = 2, 1
+    primitive["targets"] = [
+        {"POSITION": glb.accessor(up), "NORMAL": glb.accessor(np.tile(np.float32([0, -1, 0]), (4, 1)))},
+        {"POSITION": glb.accessor(right)},
+    ]
+    glb.mesh(primitive)
+    glb.json["meshes"][0]["weights"] = [0.5, 0]
+    glb.nodes({"mesh": 0}, {"mesh": 0, "weights": [0, 3]}, {"mesh": 0})
+    asset = load_asset(glb.save(tmp_path / "a.glb"))
+    assert len(asset.parts) == 2 and [i.part for i in asset.instances] == [0, 1, 0]  # shared where the weights agree
+    np.testing.assert_allclose(asset.parts[0].vertices - QUAD, up / 2)
+    np.testing.assert_allclose(asset.parts[1].vertices - QUAD, 3 * right)
+    np.testing.assert_allclose(asset.parts[0].normals, np.tile(np.array([0, -1, 2]) / 5**0.5, (4, 1)), atol=1e-6)
+    np.testing.assert_allclose(asset.parts[1].normals, [[0, 0, 1]] * 4)

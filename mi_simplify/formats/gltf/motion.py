@@ -68,7 +68,7 @@ class Motion:
             keys = keys[np.diff(keys, prepend=-np.inf) > _SAME_TIME]
         if len(keys) > MAX_FRAMES:
             step = -(-len(keys) // MAX_FRAMES)
-            self.file.resources.note(f"of {len(keys)} frames every {step}th was taken")
+            self.file.resources.note(f"of {len(keys)} frames one in {step} was taken")
             keys = keys[::step]
         return keys
 

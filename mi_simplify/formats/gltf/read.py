@@ -20,6 +20,7 @@ from ..validate import check_indices, used_vertices
 from .draco import draco_accessors
 from .file import GltfFile
 from .material import read_material
+from .morph import morphed
 from .motion import local_matrix, trs
 from .skeleton import Skeletons
 
@@ -31,7 +32,8 @@ def read_gltf(path: Path) -> Asset:
     Read the default scene of a GLB or glTF file.
 
     A primitive placed by several nodes becomes one part with several instances. Skinned meshes stand in their bind
-    pose, and the asset has a rig; morph targets, and animations of what has no skin, are left out with a note.
+    pose, and the asset has a rig. Morph targets are applied with their default weights; that they could move is left
+    out with a note, and so are animations of what has no skin.
 
     Raises
     ------
@@ -51,7 +53,7 @@ class _Scene:
         self.file, self.notes = file, notes
         self.parts: list[Part] = []
         self.instances: list[Instance] = []
-        self._of_mesh: dict[int, list[int]] = {}
+        self._of_mesh: dict[tuple, list[int]] = {}
         self._materials: dict[int | None, tuple] = {}
         self._parents: dict[int, int] = {}
         self._carriers: list[int | None] = []
@@ -69,7 +71,7 @@ class _Scene:
                 self._skinned(index, node, name, to_world)
                 continue
             for placement in self._gpu_instances(node):
-                for part in self._parts_of(node["mesh"]):
+                for part in self._parts_of(node["mesh"], node.get("weights")):
                     self._place(part, to_world @ placement, name, index)
         notes = self.notes
         if all(part.skin is None for part in self.parts):
@@ -129,22 +131,24 @@ class _Scene:
         memory.require(PER_INSTANCE * n, f"{self.file.name}: a node of {n} instances", FEWER_INSTANCES)
         return trs(n, *columns)
 
-    def _parts_of(self, mesh_index: int) -> list[int]:
-        """Indices of the parts of a mesh, read at its first use."""
-        if mesh_index not in self._of_mesh:
+    def _parts_of(self, mesh_index: int, weights: list[float] | None) -> list[int]:
+        """Indices of the parts of a mesh under a node's morph weights, read at its first use."""
+        key = mesh_index, None if weights is None else tuple(weights)
+        if key not in self._of_mesh:
             mesh = self.file.item("meshes", mesh_index)
             name = mesh.get("name") or f"mesh_{mesh_index}"
             numbers = []
             for k, primitive in enumerate(mesh.get("primitives", [])):
-                part, _ = self._primitive(primitive, f"{name}_{k}" if len(mesh["primitives"]) > 1 else name)
+                shown = f"{name}_{k}" if len(mesh["primitives"]) > 1 else name
+                part, _ = self._primitive(primitive, shown, mesh.get("weights") if weights is None else weights)
                 if part is not None:
                     numbers.append(len(self.parts))
                     self.parts.append(part)
-            self._of_mesh[mesh_index] = numbers
-        return self._of_mesh[mesh_index]
+            self._of_mesh[key] = numbers
+        return self._of_mesh[key]
 
-    def _primitive(self, primitive: dict, name: str) -> tuple[Part | None, np.ndarray]:
-        """A primitive as a part, and the vertices of the file that it kept."""
+    def _primitive(self, primitive: dict, name: str, weights: list[float] | None) -> tuple[Part | None, np.ndarray]:
+        """A primitive as a part under morph weights, and the vertices of the file that it kept."""
         file, attributes = self.file, primitive.get("attributes") or {}
         mode = primitive.get("mode", 4)
         if mode not in (4, 5, 6) or "POSITION" not in attributes:
@@ -163,8 +167,6 @@ class _Scene:
             file.resources.note(f"a primitive of '{name}' was left out: it has no faces")
             return None, np.zeros(0, np.int64)
         used, faces = used_vertices(faces, len(vertices))
-        if primitive.get("targets"):
-            file.resources.note(f"morph targets of '{name}' were left out; it is shown in its base shape")
 
         def attribute(key: str) -> np.ndarray | None:
             if key not in attributes:
@@ -172,7 +174,7 @@ class _Scene:
             values = file.accessor(attributes[key])
             if len(values) != len(vertices):
                 raise MeshError(f"{file.name}: {key} of '{name}' has {len(values)} rows for {len(vertices)} vertices")
-            return values[used]
+            return morphed(file, primitive, key, values, weights)[used]
 
         material_index = primitive.get("material")
         if material_index not in self._materials:
@@ -186,8 +188,10 @@ class _Scene:
             if material_index is None:  # vertex colours multiply the base colour, so they want a white one
                 material = type(material)("vertex colours", base_color=constant(1, 1, 1, 1))
         normals = attribute("NORMAL")
+        if primitive.get("targets"):
+            file.resources.note(f"morph targets of '{name}' were left out; it is shown with their default weights")
         part = Part(
-            vertices[used].astype(np.float64), faces, None if normals is None else normals.astype(np.float32),
+            morphed(file, primitive, "POSITION", vertices, weights)[used].astype(np.float64), faces, None if normals is None else normals.astype(np.float32),
             self._uvs(attribute, mapping, name), colors, material, name,
         )  # fmt: skip
         return part, used
@@ -209,7 +213,8 @@ class _Scene:
         _, placement = skeletons.of(node["skin"], name)
         mesh = file.item("meshes", node["mesh"])
         for k, primitive in enumerate(mesh.get("primitives", [])):
-            part, used = self._primitive(primitive, f"{name}_{k}" if len(mesh["primitives"]) > 1 else name)
+            shown = f"{name}_{k}" if len(mesh["primitives"]) > 1 else name
+            part, used = self._primitive(primitive, shown, node.get("weights", mesh.get("weights")))
             if part is None:
                 continue
             attributes = primitive["attributes"]

@@ -86,7 +86,7 @@ class Motion:
         if np.diff(codes).max() > 1.5 and np.ptp(codes) <= MAX_FRAMES:
             codes = np.unique(np.concatenate([codes, np.arange(np.ceil(codes[0]), codes[-1])]))
         if len(codes) > MAX_FRAMES:
-            self.resources.note(f"of {len(codes)} frames every {-(-len(codes) // MAX_FRAMES)}th was taken")
+            self.resources.note(f"of {len(codes)} frames one in {-(-len(codes) // MAX_FRAMES)} was taken")
             codes = codes[:: -(-len(codes) // MAX_FRAMES)]
         return codes
 

@@ -1,0 +1,56 @@
+"""
+Morph targets, applied with fixed weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import AssetError, MeshError
+from .file import GltfFile
+
+
+def morphed(
+    file: GltfFile, primitive: dict[str, Any], key: str, values: np.ndarray, weights: Sequence[float] | None
+) -> np.ndarray:
+    """
+    An attribute with the displacements of all targets added, each times its weight (glTF 3.7.2.2).
+
+    Parameters
+    ----------
+    primitive : dict
+    key : str
+        'POSITION', 'NORMAL', 'TEXCOORD_0', …
+    values : ndarray, shape (V, C)
+        The attribute itself.
+    weights : sequence of float, optional
+        One for each target; missing ones are 0.
+
+    Returns
+    -------
+    ndarray, shape (V, C)
+        ``values`` itself where nothing changes; normals are not of unit length.
+
+    Raises
+    ------
+    MeshError
+        A target has another number of vertices.
+    AssetError
+        A weight is no finite number.
+    """
+    out = values
+    for k, (target, weight) in enumerate(zip(primitive.get("targets") or (), weights or (), strict=False)):
+        if not isinstance(weight, (int, float)) or not np.isfinite(weight):
+            raise AssetError(f"{file.name}: a morph weight is no number; export the file again")
+        if not weight or key not in target:
+            continue
+        offset = file.accessor(target[key])
+        if offset.shape[0] != len(values) or offset.ndim != values.ndim:
+            raise MeshError(f"{file.name}: {key} of morph target {k} has {len(offset)} rows for {len(values)} vertices")
+        n = min(offset.shape[1], values.shape[1])  # colours may have an opacity that their offsets lack
+        out = out.astype(np.float64) if out is values else out
+        out[:, :n] += weight * offset[:, :n]
+    return out
