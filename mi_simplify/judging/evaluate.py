@@ -17,6 +17,7 @@ from ..config import Config
 from ..errors import AssetError
 from ..machine.files import make_folder
 from ..model.asset import Asset
+from ..model.frame import Frame
 from ..progress import Progress, ProgressCallback, silent
 from .comparison import Comparison, save_comparison
 from .metrics import COVERED, compare
@@ -92,6 +93,9 @@ def compare_assets(
     """
     from ..scenes.views import held_out_views  # Mitsuba needs its variant by now, not on import
 
+    frame = Frame.around(reference.bounds)  # any units, and coordinates far from the origin, fit into float32 there
+    reference = frame.normalised(reference)
+    candidates = {name: frame.normalised(asset) for name, asset in candidates.items()}
     views = held_out_views(reference.bounds, judging.n_views, judging.resolution, judging.seed)
     target = Rendering(reference, PathTraced(reference, judging.spp))
     others = {name: Rendering(asset, PathTraced(asset, judging.spp)) for name, asset in candidates.items()}

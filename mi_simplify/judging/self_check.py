@@ -18,6 +18,7 @@ from ..latent.surface import MeshTopology, Surface
 from ..latent.textures import Textures, needs_extended
 from ..machine.upload import upload
 from ..model.asset import Asset, Part
+from ..model.frame import Frame
 from ..model.mesh import Mesh
 from ..model.model import Model
 from ..model.rig import BIND_POSE, turn
@@ -54,15 +55,17 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     float
         PSNR of what a screen shows, mean over the views [dB]; 100 where nothing differs.
     """
+    frame = Frame.around(written.bounds)  # any units, and coordinates far from the origin
+    model, written = model.transformed(frame.scale, -frame.scale * frame.center), frame.normalised(written)
     if model.skin is not None:
         model = replace(model, skin=model.skin.pruned())
     found = []
-    for frame in _frames(written):
-        shown = written.posed(frame)
-        views = held_out_views(shown.bounds, n_views, resolution).at(frame)
+    for time in _frames(written):
+        shown = written.posed(time)
+        views = held_out_views(shown.bounds, n_views, resolution).at(time)
         (part,), tangents, skin = shown.placed(), stored_tangents(written), written.parts[0].skin
         if written.rig is not None and skin is not None and tangents is not None:
-            turned = turn(tangents[:, :3], skin, written.rig.matrices(frame)[:, :3, :3])
+            turned = turn(tangents[:, :3], skin, written.rig.matrices(time)[:, :3, :3])
             tangents = np.concatenate([turned, tangents[:, 3:]], axis=1)
         there = _render(*as_written(part, tangents), views, form)
         found.append(psnr(latent_images(model, views, form), there).mean())

@@ -15,6 +15,7 @@ from ..formats.textures import png
 from ..judging.pictures import displayed
 from ..machine.files import make_folder, write_atomic
 from ..model.asset import Asset
+from ..model.frame import Frame
 from ..scenes.references.path_traced import make_reference
 from ..scenes.views import Views, look_at
 
@@ -89,6 +90,7 @@ def render_picture(
     ndarray, shape (H, W, 4), float32
         Linear radiance on black, and coverage.
     """
+    asset = Frame.around(asset.bounds).normalised(asset)  # any units, and coordinates far from the origin
     sky = 0.0 if transport == "direct" else 0.1
     reference = make_reference(asset, transport=transport, spp=spp, max_depth=max_depth, sky=sky)
     return reference.render(portrait_view(asset.bounds, **view), seed=seed)[0]

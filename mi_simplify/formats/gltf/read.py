@@ -191,8 +191,9 @@ class _Scene:
         if primitive.get("targets"):
             file.resources.note(f"morph targets of '{name}' were left out; it is shown with their default weights")
         part = Part(
-            morphed(file, primitive, "POSITION", vertices, weights)[used].astype(np.float64), faces, None if normals is None else normals.astype(np.float32),
-            self._uvs(attribute, mapping, name), colors, material, name,
+            morphed(file, primitive, "POSITION", vertices, weights)[used].astype(np.float64), faces,
+            None if normals is None else normals.astype(np.float32), self._uvs(attribute, mapping, name), colors,
+            material, name,
         )  # fmt: skip
         return part, used
 

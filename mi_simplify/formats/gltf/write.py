@@ -18,6 +18,7 @@ from ...model.model import Model
 from ...model.rigging import Rigging
 from ...model.skeleton import influences, skeleton_of
 from ...model.tangents import split_mirrored, vertex_tangents
+from ..origin import recentred
 from ..textures import Textures, encode_textures, png
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
@@ -32,7 +33,8 @@ def write_glb(model: Model, path: str | Path, *, extras: dict | None = None) -> 
 
     Further vertex sets are morph targets, named after the size on the screen that they are for.
     Gamma leaves as KHR_materials_specular where a dielectric texel has any (:mod:`..textures`).
-    Vertices in which mirrored and unmirrored charts meet are doubled, since TANGENT's w is per vertex.
+    Vertices in which mirrored and unmirrored charts meet are doubled, since TANGENT's w is per vertex. A model far from
+    the origin is stored around it, and its node has the translation.
 
     Parameters
     ----------
@@ -61,14 +63,19 @@ def glb_bytes(model: Model, *, extras: dict | None = None) -> bytes:
     The content of the file that :func:`write_glb` writes.
     """
     builder = _Builder()
+    if not len(model.mesh.faces):
+        raise MeshError("nothing to export: the mesh has no faces")
+    model, origin = recentred(model)
+    place = {"translation": origin.tolist()} if origin.any() else {}
     attributes, indices = _geometry(builder, model)
     targets = _targets(builder, model)
     textures = encode_textures(model)
     material = _material(builder, model, textures)
-    node: dict = {"name": model.name, "mesh": 0}
+    node: dict = {"name": model.name, "mesh": 0, **place}
     more: dict = {}
     if model.skin is not None:
         more = _skinned(builder, model, model.skin, node, attributes)
+        more["nodes"][1] |= place  # the joints are moved, the mesh follows them
     document = {
         "asset": {"version": "2.0", "generator": f"mi_simplify {__version__}", **_some("extras", extras)},
         "scene": 0,
@@ -142,8 +149,6 @@ class _Builder:
 def _geometry(builder: _Builder, model: Model) -> tuple[dict, int]:
     """Attributes and indices of the one primitive."""
     mesh = split_mirrored(model.mesh)
-    if not len(mesh.faces):
-        raise MeshError("nothing to export: the mesh has no faces")
     normals = mesh.normals()
     tangents, w = vertex_tangents(mesh, normals)
     vertices = {

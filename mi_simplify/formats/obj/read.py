@@ -26,7 +26,9 @@ def read_obj(path: Path) -> Asset:
     """
     Read an OBJ file: one part for each object and material, vertices split where UVs or normals differ.
 
-    Vertex colours (three numbers after the position) are sRGB and used where the material has no ``map_Kd``.
+    Positions are float64, so that what stands far from the origin keeps its digits; a file of ours may say in its head
+    where its own origin is. Vertex colours (three numbers after the position) are sRGB and used where the material has
+    no ``map_Kd``.
 
     Raises
     ------
@@ -37,7 +39,8 @@ def read_obj(path: Path) -> Asset:
     """
     notes: list[str] = []
     resources = Resources(path, notes)
-    lines = _Lines(as_utf8(read_bytes(path, "OBJ file")), path.name)
+    data = as_utf8(read_bytes(path, "OBJ file"))
+    lines = _Lines(data, path.name)
     v, n_v = lines.table(b"v")
     vt, n_vt = lines.table(b"vt")
     vn, _ = lines.table(b"vn")
@@ -52,7 +55,7 @@ def read_obj(path: Path) -> Asset:
         notes.append(f"{int((faces.counts < 3).sum())} faces with fewer than three corners were left out")
     materials, owner, keys = _owners(lines, faces, resources)
 
-    table = {"v": v[:, :3], "uvs": uvs, "vn": vn[:, :3], "colors": colors}
+    table = {"v": v[:, :3] + _origin(data), "uvs": uvs, "vn": vn[:, :3], "colors": colors}
     for column, (values, what) in enumerate(((v, "vertex"), (uvs, "texture coordinate"), (vn, "normal"))):
         index = faces.index[:, column]
         # A missing position is as wrong as one out of range; the other two may be missing.
@@ -74,6 +77,15 @@ def read_obj(path: Path) -> Asset:
             parts.append(_part(keys[k][1], by_key[k], index, {**table, "vn": normals}, material, notes))
     instances = tuple(Instance(i, name=part.name) for i, part in enumerate(parts))
     return Asset(tuple(parts), instances, notes=tuple(notes))
+
+
+def _origin(data: bytes) -> np.ndarray:
+    """Where the file's origin stands, if its head says so as ours do, shape (3,)."""
+    found = re.match(rb"# mi_simplify [^\n]*\n# origin: (\S+) (\S+) (\S+)\r?\n", data)
+    try:
+        return np.zeros(3) if found is None else np.array([float(x) for x in found.groups()])
+    except ValueError:
+        return np.zeros(3)
 
 
 def _fill_normals(index: np.ndarray, triangles: list[np.ndarray], table: dict) -> tuple[np.ndarray, np.ndarray]:

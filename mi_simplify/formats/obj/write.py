@@ -12,6 +12,7 @@ from ... import __version__
 from ...errors import MeshError
 from ...machine.files import side_file_stem, write_atomic
 from ...model.model import Model
+from ..origin import recentred
 from ..textures import Textures, encode_textures, png
 
 
@@ -21,7 +22,8 @@ def write_obj(model: Model, path: str | Path) -> Path:
 
     Positions stay welded (``v/vt/vn`` indices). The library uses the PBR keywords ``norm``,
     ``map_Pr`` and ``map_Pm`` beside ``map_Kd``; opacity leaves as ``map_d`` (cut to 0 or 1 under
-    MASK). Gamma of dielectrics has no keyword and is lost.
+    MASK). Gamma of dielectrics has no keyword and is lost. A model far from the origin is stored
+    around it, and a comment in the head says where its origin stands, for :func:`.read.read_obj`.
 
     Parameters
     ----------
@@ -43,13 +45,14 @@ def write_obj(model: Model, path: str | Path) -> Path:
     path = Path(path)
     if not len(model.mesh.faces):
         raise MeshError("nothing to export: the mesh has no faces")
+    model, origin = recentred(model)
     stem = side_file_stem(path)
     textures = encode_textures(model)
     images = _images(model, textures)
     for key, image in images.items():
         write_atomic(path.with_name(f"{stem}_{key}.png"), png(image))
     write_atomic(path.with_name(f"{stem}.mtl"), _library(stem, images, textures.emission_strength))
-    return write_atomic(path, _mesh(model, stem))  # last: what names the others
+    return write_atomic(path, _mesh(model, stem, origin))  # last: what names the others
 
 
 def _images(model: Model, textures: Textures) -> dict[str, np.ndarray]:
@@ -81,7 +84,7 @@ def _library(stem: str, images: dict[str, np.ndarray], emission: float) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _mesh(model: Model, stem: str) -> str:
+def _mesh(model: Model, stem: str, origin: np.ndarray) -> str:
     """The mesh as text; nine digits carry a float32 exactly."""
     mesh = model.mesh
     normals = mesh.normals()
@@ -90,7 +93,9 @@ def _mesh(model: Model, stem: str) -> str:
     corners = np.stack([p, t, n], axis=2)  # (F, 3, 3): v/vt/vn
     return "".join(
         [
-            f"# mi_simplify {__version__}\nmtllib {stem}.mtl\no {stem}\n",
+            f"# mi_simplify {__version__}\n",
+            "# origin: {:.17g} {:.17g} {:.17g}\n".format(*origin) if origin.any() else "",
+            f"mtllib {stem}.mtl\no {stem}\n",
             _lines("v %.9g %.9g %.9g\n", mesh.positions),
             _lines("vt %.9g %.9g\n", uvs),
             _lines("vn %.7g %.7g %.7g\n", normals),

@@ -13,6 +13,7 @@ from ... import __version__
 from ...errors import MeshError
 from ...machine.files import side_file_stem, write_atomic
 from ...model.model import Model
+from ..origin import recentred
 from ..textures import encode_textures, png
 from .write_skeleton import bind_skeleton
 
@@ -45,6 +46,7 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
     path = Path(path)
     if not len(model.mesh.faces):
         raise MeshError("nothing to export: the mesh has no faces")
+    model, origin = recentred(model)
     stem = side_file_stem(path)
     textures = encode_textures(model)
     emission = None if textures.emission is None else textures.emission_strength
@@ -59,6 +61,8 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
     kind = UsdGeom.Xform if model.skin is None else UsdSkel.Root
     root = kind.Define(stage, "/" + Tf.MakeValidIdentifier(model.name or "model"))
     stage.SetDefaultPrim(root.GetPrim())
+    if origin.any():
+        root.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*origin.tolist()))
     Usd.ModelAPI(root).SetKind("component")
     mesh = _mesh(stage, root.GetPath().AppendChild("mesh"), model)
     material = _material(stage, root.GetPath().AppendChild("material"), model, stem, emission)
