@@ -41,7 +41,7 @@ def candidate(kind: str, plant: str, triangles: int, folder: Path, settings: lis
     """One of the assets that are compared; in the units of the plant."""
     from mi_simplify.config import load_config
     from mi_simplify.formats.load import load_asset
-    from mi_simplify.initial.guess import quadrics_only
+    from mi_simplify.initial.quadrics import quadrics_only
     from mi_simplify.initial.stochastic import stochastic
     from mi_simplify.subjects import open_asset, open_subject
 

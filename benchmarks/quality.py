@@ -116,13 +116,13 @@ def quadrics(path: Path, triangles: int) -> ms.Model:
     """
     fast-simplification's mesh with our baker's textures: what a user can have for free.
     """
-    from mi_simplify.initial.guess import fast_quadrics
+    from mi_simplify.initial.quadrics import fast_quadrics
     from mi_simplify.model.asset import Asset, Instance, Part
 
     asset = ms.load_asset(path)
     positions, faces, _ = fast_quadrics(asset, triangles)
     low = Asset((Part(positions, faces),), (Instance(0),))
-    return ms.first_guess(asset, kind="mesh", init=low)[0]
+    return ms.first_guess(asset, mesh=low, repair=False)[0]
 
 
 def slug(name: str) -> str:

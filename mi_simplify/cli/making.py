@@ -64,27 +64,9 @@ def simplify(
     if mode != "mesh":
         if init is not None:
             raise click.UsageError(f"--mode {mode} makes a first guess of its own, so it does not go with --init")
-        initial |= {"kind": _mode(mode, asset, triangles, config, settings, options)}
+        initial["kind"] = mode
     chosen = {"asset": asset, "initial": initial, "animation": animation(frames, bind_pose_only)}
     _run(config, out or default_folder(asset), [*settings, chosen], **options)
-
-
-def _mode(mode: str, asset: str, triangles: int | None, config, settings, options) -> str:
-    """The kind of first guess for a mode; says what was found where that decides."""
-    if mode == "cards":
-        return "cards"
-    from ..config import load_config
-
-    given: dict[str, Any] = {} if triangles is None else {"initial": {"triangles": triangles}}
-    wanted = load_config(config, [*settings, {"asset": asset}, given], options["preset"])
-    prepare(options["variant"])
-    from ..initial.cards.cards import is_aggregate
-    from ..subjects import open_subject
-
-    why = is_aggregate(open_subject(wanted).geometry, wanted.initial.triangles or 3000)
-    if not options["quiet"]:
-        print(f"aggregate geometry: {why}: cards" if why else "no aggregate geometry: one surface")
-    return "cards" if why else "decimate"
 
 
 @click.command()

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from .presets import PRESETS, STARTS
-from .schema import Config
+from .schema import Config, asset_first
 
 _LIMITS = {
     "minimum": "≥ {}",
@@ -69,7 +69,7 @@ def _sections(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, str, l
     """Title, introduction and table rows of a section, then of those below it."""
     properties = model.model_json_schema()["properties"]
     rows, below = [], []
-    for name, field in model.model_fields.items():
+    for name, field in asset_first(model.model_fields).items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
             below.append((field.annotation, f"{prefix}{name}."))
         else:

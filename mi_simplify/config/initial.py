@@ -14,10 +14,10 @@ from .section import FilePath, Section, as_list
 class InitialSettings(Section):
     """The first guess."""
 
-    kind: Literal["decimate", "cards", "sphere", "mesh"] = Field(
+    kind: Literal["decimate", "cards", "auto", "sphere", "mesh"] = Field(
         "decimate",
-        description="Decimate the asset, put its leaves on textured cards, start from a sphere, or take the mesh of a "
-        "file.",
+        description="Decimate the asset, put its leaves on textured cards, `auto` whichever of these suits it, start "
+        "from a sphere, or take the mesh of a file.",
     )
     triangles: int | None = Field(
         None, ge=4, description="Triangle budget of the result; none: 3000, or as many as `mesh` has."
@@ -46,6 +46,7 @@ class InitialSettings(Section):
         le=180,
         description="Edges of the first guess that turn by more than this get two normals [degrees]; 180: all smooth.",
     )
+    padding: int = Field(4, ge=1, le=64, description="Empty texels between charts.")
     textures: Literal["bake", "constant", "random"] = Field(
         "bake", description="Sample them from the asset, fill them with its mean, or with noise."
     )
@@ -86,7 +87,7 @@ class InitialSettings(Section):
             raise ValueError("`kind: mesh` and `mesh: FILE` go together, only one of them is set")
         if self.tessellations and max(self.tessellations) != self.subdivisions:
             raise ValueError("the largest of `tessellations` is `subdivisions`; set both")
-        if self.source is not None and self.kind != "decimate":
+        if self.source is not None and self.kind not in ("decimate", "auto"):
             raise ValueError("`source` is what `kind: decimate` reduces, which is not set")
         if self.keep_uv and self.mesh is None:
             raise ValueError("`keep_uv` is about the texture coordinates of `mesh: FILE`, which is not set")

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 from ..errors import ConfigError
 from .presets import PRESETS, STARTS, prefiltering
 from .problems import describe, nearest
-from .schema import Config, PathMark
+from .schema import Config, PathMark, asset_first
 from .section import SAMPLE_PREFIX as SAMPLE_PREFIX
 from .section import names_no_file
 
@@ -69,7 +69,7 @@ def load_config(
     kind = initial.get("kind") if isinstance(initial, Mapping) else None
     if isinstance(kind, str):
         merged = _merge(STARTS.get(kind, {}), merged)
-    if str(merged.get("asset")).lower().endswith(".json") and kind in (None, "decimate"):
+    if str(merged.get("asset")).lower().endswith(".json") and kind in (None, "decimate", "auto"):
         merged = _merge(STARTS["images"], merged)
     optimizer = merged.get("optimizer")
     target = optimizer.get("target_resolution") if isinstance(optimizer, Mapping) else None
@@ -106,7 +106,7 @@ def dump(config: Config) -> str:
         except importlib.metadata.PackageNotFoundError:
             versions[name] = "not installed"
     head = "# Resolved configuration; written with " + ", ".join(f"{k} {v}" for k, v in versions.items()) + ".\n"
-    return head + yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+    return head + yaml.safe_dump(asset_first(config.model_dump(mode="json")), sort_keys=False, allow_unicode=True)
 
 
 class _Loader(yaml.SafeLoader):
@@ -183,6 +183,11 @@ def _path_keys(model: type[BaseModel] = Config, prefix: tuple[str, ...] = ()) ->
 
 def _resolve_paths(layer: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The layer with relative paths made absolute."""
+    extensions = layer.get("extensions")
+    if extensions:
+        files = extensions if isinstance(extensions, list | tuple) else [extensions]
+        whole = [str(folder / Path(x).expanduser()) if str(x).endswith(".py") else x for x in files]
+        layer = {**layer, "extensions": whole}
     for *sections, name in _path_keys():
         node: Any = layer
         for section in sections:

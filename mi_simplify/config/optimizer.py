@@ -74,8 +74,10 @@ class LaplacianSettings(Section):
 class LossSettings(Section):
     """What is minimised."""
 
-    image: Literal["log_l1", "l1", "l2", "log_l2", "smape", "relative_l2"] = Field(
-        "log_l1", description="Image loss; `log_l1` compares tone-mapped log(x + 1)."
+    image: str = Field(
+        "log_l1",
+        description="Image loss: `log_l1`, which compares tone-mapped log(x + 1), `l1`, `l2`, `log_l2`, `smape`, "
+        "`relative_l2`, or one that an extension registers.",
     )
     coverage: float = Field(3.0, ge=0, description="Weight of the coverage (silhouette) term.")
     laplacian: LaplacianSettings = LaplacianSettings()

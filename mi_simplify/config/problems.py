@@ -6,12 +6,16 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from .schema import Config
+from ..errors import ConfigError
+from .schema import Config, asset_first
+from .section import Section
+
+S = TypeVar("S", bound=Section)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -46,7 +50,11 @@ def _unknown_key(location: tuple[str, ...], schema: type[BaseModel]) -> str:
     if not hint:  # perhaps right but in another section
         elsewhere = {key.rpartition(".")[2]: key for key in dotted_keys(schema)}
         match = difflib.get_close_matches(name, list(elsewhere), n=1, cutoff=0.6)
-        hint = f", did you mean '{elsewhere[match[0]]}'?" if match else f"; known here: {', '.join(model.model_fields)}"
+        hint = (
+            f", did you mean '{elsewhere[match[0]]}'?"
+            if match
+            else f"; known here: {', '.join(asset_first(model.model_fields))}"
+        )
     return f"{'.'.join(location)}: unknown key{hint}"
 
 
@@ -72,6 +80,21 @@ def describe(error: ValidationError, schema: type[BaseModel] = Config) -> str:
             lines.append(f"{path}: {expected}, got {_quoted(given)}")
     more = f"; and {len(lines) - 3} more" if len(lines) > 3 else ""
     return "; ".join(lines[:3]) + more
+
+
+def validated(schema: type[S], values: Mapping[str, Any]) -> S:
+    """
+    A section of these values, nested as in YAML.
+
+    Raises
+    ------
+    ConfigError
+        One line: an unknown key and the nearest one, a wrong type, out of range.
+    """
+    try:
+        return schema.model_validate(dict(values))
+    except ValidationError as error:
+        raise ConfigError(describe(error, schema)) from None
 
 
 def _quoted(value: Any) -> str:

@@ -7,7 +7,8 @@ normalised frame (the asset's box has side 2 and centre 0), angles in degrees, c
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -36,8 +37,7 @@ Quantity = Literal[
     "normal",
 ]
 Quantities = Annotated[tuple[Quantity, ...], BeforeValidator(as_list), AfterValidator(distinct)]
-Format = Literal["glb", "obj", "usd"]
-Formats = Annotated[tuple[Format, ...], BeforeValidator(as_list), AfterValidator(not_empty), AfterValidator(distinct)]
+Formats = Annotated[tuple[str, ...], BeforeValidator(as_list), AfterValidator(not_empty), AfterValidator(distinct)]
 
 
 class ReferenceSettings(Section):
@@ -143,14 +143,29 @@ class EvaluationSettings(Section):
 class ExportSettings(Section):
     """What is written."""
 
-    formats: Formats = Field(("glb", "obj", "usd"), description="Model files to write.")
+    formats: Formats = Field(
+        ("glb", "obj", "usd"), description="Model files to write: `glb`, `obj`, `usd`, or what an extension registers."
+    )
     checkpoint: float = Field(
         30.0, ge=0, description="Seconds between two checkpoints, from which `--resume` goes on; 0: after every step."
     )
     tensorboard: bool = Field(False, description="Also write the course of the fit for TensorBoard, a package apart.")
 
 
-class Config(Section):
+class FitSettings(Section):
+    """What :func:`mi_simplify.fit` reads: rates, schedule, loss, views, and how the latent model is shaded."""
+
+    seed: int = Field(0, ge=0, lt=2**31, description="Seed of every random number of the run.")
+    reference: ReferenceSettings = ReferenceSettings()
+    latent: LatentSettings = LatentSettings()
+    opacity: OpacitySettings = OpacitySettings()
+    views: ViewsSettings = ViewsSettings()
+    optimizer: OptimizerSettings = OptimizerSettings()
+    loss: LossSettings = LossSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
+
+
+class Config(FitSettings):
     """One job: from the asset to the exported model."""
 
     asset: FilePath = Field(
@@ -160,21 +175,18 @@ class Config(Section):
     preset: Literal["fast", "balanced", "best"] | None = Field(
         None, description="Overrides that lie between the defaults and everything set here."
     )
-    seed: int = Field(0, ge=0, lt=2**31, description="Seed of every random number of the run.")
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] | None = Field(
         None, description="Mitsuba variant; none takes the environment's `MI_SIMPLIFY_VARIANT`, else `llvm_ad_rgb`."
     )
-    reference: ReferenceSettings = ReferenceSettings()
+    extensions: Annotated[tuple[FilePath, ...], BeforeValidator(as_list)] = Field(
+        (),
+        description="Python files or modules of your own, run before the job: they register losses, mesh operations, "
+        "subjects, readers and writers.",
+    )
     implicit: ImplicitSettings = ImplicitSettings()
     images: ImagesSettings = ImagesSettings()
     initial: InitialSettings = InitialSettings()
-    latent: LatentSettings = LatentSettings()
-    opacity: OpacitySettings = OpacitySettings()
-    views: ViewsSettings = ViewsSettings()
     animation: AnimationSettings = AnimationSettings()
-    optimizer: OptimizerSettings = OptimizerSettings()
-    loss: LossSettings = LossSettings()
-    evaluation: EvaluationSettings = EvaluationSettings()
     export: ExportSettings = ExportSettings()
 
     @model_validator(mode="after")
@@ -193,3 +205,10 @@ class Config(Section):
             if asked and size & (size - 1):
                 raise ValueError(f"`{key}` needs an `initial.atlas_size` that is a power of two, it is {size}")
         return self
+
+
+def asset_first(values: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    What goes by the keys of a job in the order that a person reads them: those of the job before those of its fit.
+    """
+    return {key: values[key] for key in (*(k for k in values if k not in FitSettings.model_fields), *values)}

@@ -3,22 +3,63 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..errors import OutputError
 from ..formats.gltf.write import write_glb as write_glb
 from ..formats.load import load_asset
 from ..formats.obj.write import write_obj as write_obj
 from ..machine.files import make_folder
 from ..model.asset import Asset
 from ..model.model import Model
+from ..registry import Registry
 from .mips import write_mips
 from .own_normals import with_own_normals
 
-FORMATS = {"glb": "model.glb", "obj": "model.obj", "usd": "model.usdc"}
-"""File name of each format that :func:`export_model` writes."""
+Writer = Callable[[Model, Path, dict | None], object]
+
+
+@dataclass(frozen=True)
+class _Format:
+    """The file that a format is written to, and what writes it."""
+
+    file: str
+    write: Writer
+
+
+WRITERS: Registry[_Format] = Registry("export format (export.formats)")
+
+
+def register_writer(name: str, file: str, write: Writer, *, replace: bool = False) -> None:
+    """
+    Make a format known to :func:`export_model` and ``export.formats``.
+
+    Parameters
+    ----------
+    name : str
+    file : str
+        Name of its file in the folder of results.
+    write : callable
+        ``write(model, path, extras)``; what it cannot write it raises as ``OutputError``.
+
+    Raises
+    ------
+    ValueError
+        The name is taken.
+    """
+    WRITERS.register(name, _Format(file, write), replace=replace)
+
+
+def _usd(model: Model, path: Path, extras: dict | None) -> None:
+    from ..formats.usd.write import write_usd  # usd-core takes half a second to load
+
+    write_usd(model, path, extras=extras)
+
+
+register_writer("glb", "model.glb", lambda model, path, extras: write_glb(model, path, extras=extras))
+register_writer("obj", "model.obj", lambda model, path, extras: write_obj(model, path))
+register_writer("usd", "model.usdc", _usd)
 
 
 def export_model(
@@ -35,7 +76,7 @@ def export_model(
     ----------
     model : Model
     folder : str or Path
-    formats : sequence of {'glb', 'obj', 'usd'}
+    formats : sequence of {'glb', 'obj', 'usd'}, or what is registered
     extras : dict, optional
         Facts to keep with the file (transport, versions): strings and numbers.
 
@@ -46,16 +87,16 @@ def export_model(
 
     Raises
     ------
+    ConfigError
+        A format is unknown.
     OutputError
-        A format is unknown, or the folder or a file cannot be written.
+        The folder or a file cannot be written.
     MeshError
         The mesh has no faces.
     """
-    unknown = [name for name in formats if name not in FORMATS]
-    if unknown:
-        raise OutputError(f"unknown export format {unknown[0]!r}: choose from {', '.join(FORMATS)}")
+    files = {name: WRITERS[name].file for name in formats}
     folder = make_folder(folder)
-    paths = {name: folder / FORMATS[name] for name in formats}
+    paths = {name: folder / file for name, file in files.items()}
     if model.displacement is not None:
         from .displacement import write_displacement
 
@@ -64,14 +105,7 @@ def export_model(
     if model.mips:
         write_mips(model, make_folder(folder / "mips"))
     for name, path in paths.items():
-        if name == "glb":
-            write_glb(model, path, extras=extras)
-        elif name == "obj":
-            write_obj(model, path)
-        else:
-            from ..formats.usd.write import write_usd  # usd-core takes half a second to load
-
-            write_usd(model, path, extras=extras)
+        WRITERS[name].write(model, path, extras)
     return paths
 
 

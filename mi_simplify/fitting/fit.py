@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..config import Config
+from ..config import FitSettings
 from ..config.schema import ViewsSettings
 from ..integrators.deferred import DeferredRenderer
 from ..latent.latent import Latent
@@ -45,81 +45,83 @@ class Fit:
         First guess in the normalised frame (box of side 2, centre 0).
     reference : Reference
         Black box that renders views.
-    config : Config
+    settings : FitSettings
     """
 
-    def __init__(self, model: Model, reference: Reference, config: Config):
-        self.config, self.first_guess = config, model
-        optimize, rates = set(config.latent.optimize), config.optimizer.rates
+    def __init__(self, model: Model, reference: Reference, settings: FitSettings):
+        self.settings, self.first_guess = settings, model
+        optimize, rates = set(settings.latent.optimize), settings.optimizer.rates
         transparent = model.alpha_mode != "OPAQUE"
         if not transparent:
             optimize.discard("opacity")
         extended = optimize & {"opacity", "gamma"} or model.alpha_mode != "OPAQUE" or model.specular[..., 0].any()
-        self.latent = Latent(model, extended=bool(extended), mips=config.latent.mips)
+        self.latent = Latent(model, extended=bool(extended), mips=settings.latent.mips)
         base = self.latent.operation.base
-        matched = config.reference.transport == "matched"
+        matched = settings.reference.transport == "matched"
         self.renderer = DeferredRenderer(
-            self.latent.topology, form=config.latent.shading, shadows=matched,
-            shade="sample" if transparent else config.optimizer.shade,
-            layers=config.opacity.layers if transparent else 1,
+            self.latent.topology, form=settings.latent.shading, shadows=matched,
+            shade="sample" if transparent else settings.optimizer.shade,
+            layers=settings.opacity.layers if transparent else 1,
             # Cards end where they are transparent already, and their edges are many.
             edge_fraction=0.05 if transparent else 0.15,
         )  # fmt: skip
         self.latent.textures.cutoff = model.alpha_cutoff
         self.unpeeled = 0.0
         """Share of what :meth:`judge` saw last that lies behind more layers than were looked at."""
-        large_steps = config.optimizer.large_steps
+        large_steps = settings.optimizer.large_steps
         diffusion = large_steps.lambda_ if large_steps.enabled else 0.0
         self.shape = ShapeSteps(self.latent.operation, optimize, dict(rates), diffusion)
         color_rates = dict.fromkeys(("base_color", "opacity"), rates.base_color)
         specular_rates = dict.fromkeys(("gamma", "roughness", "metallic"), rates.specular)
         texel_rates = {**color_rates, **specular_rates, "normal": rates.normal}
         self.texels = TexelAdam(
-            self.latent.textures, {k: v for k, v in texel_rates.items() if k in optimize}, config.latent.min_roughness
+            self.latent.textures, {k: v for k, v in texel_rates.items() if k in optimize}, settings.latent.min_roughness
         )
-        self.ambient = AmbientSteps(model.ambient, config.latent.ambient.optimize, rates.ambient)
-        self.laplacian = Laplacian(base.position_faces, base.positions, config.loss.laplacian.relative)
-        self.loss = image_loss(config.loss.image)
-        self._coverage = dr.opaque(mi.Float, config.loss.coverage)
+        self.ambient = AmbientSteps(model.ambient, settings.latent.ambient.optimize, rates.ambient)
+        self.laplacian = Laplacian(base.position_faces, base.positions, settings.loss.laplacian.relative)
+        self.loss = image_loss(settings.loss.image)
+        self._coverage = dr.opaque(mi.Float, settings.loss.coverage)
         self._laplacian_start: float | None = None
         self.caution = 1.0
         """Factor of all rates, and divisor of the samples per pixel, halved by :meth:`retreat`."""
 
-        draw = reference.draw if isinstance(reference, OwnViews) else _by_chance(config.views)
+        draw = reference.draw if isinstance(reference, OwnViews) else _by_chance(settings.views)
         residual = None
         if matched:
             residual = PathResidual(
                 self._state, self.renderer,
-                spp=config.reference.spp, max_depth=config.reference.max_depth, form=config.latent.shading,
+                spp=settings.reference.spp, max_depth=settings.reference.max_depth, form=settings.latent.shading,
             )  # fmt: skip
-        sized = partial(at_sizes, draw, config.optimizer.least_resolution)
+        sized = partial(at_sizes, draw, settings.optimizer.least_resolution)
         of_batch, of_one = (
             tessellating(following(draw, model.skin, n), model.displacement, n)
-            for draw, n in ((sized, config.optimizer.batch), (draw, 1))
+            for draw, n in ((sized, settings.optimizer.batch), (draw, 1))
         )
-        self.pool = ViewPool(reference, of_batch, config.reference.pool, np.random.default_rng(config.seed), residual)
-        self.held_out = HeldOut(reference, of_one, config)
+        self.pool = ViewPool(
+            reference, of_batch, settings.reference.pool, np.random.default_rng(settings.seed), residual
+        )
+        self.held_out = HeldOut(reference, of_one, settings)
 
     def step(self, index: int) -> mi.Float:
         """
         One step; returns the image loss, width 1, not read back.
         """
-        config, progress = self.config, index / max(1, self.config.optimizer.steps)
-        resolution = resolution_at(progress, config.optimizer.resolution)
-        batch = config.optimizer.batch
+        settings, progress = self.settings, index / max(1, self.settings.optimizer.steps)
+        resolution = resolution_at(progress, settings.optimizer.resolution)
+        batch = settings.optimizer.batch
         if self.pool.resolution != resolution:
-            self.pool.grow(max(2 * batch, REFRESH_EVERY * config.reference.refresh), resolution)
+            self.pool.grow(max(2 * batch, REFRESH_EVERY * settings.reference.refresh), resolution)
         elif index % REFRESH_EVERY == 0:
-            self.pool.grow(REFRESH_EVERY * config.reference.refresh, resolution)
+            self.pool.grow(REFRESH_EVERY * settings.reference.refresh, resolution)
         views, reference, residual = self.pool.batch(batch)
         ambient = self.ambient.leaf()
-        seed = dr.opaque(mi.UInt32, (config.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
+        seed = dr.opaque(mi.UInt32, (settings.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
 
-        self._cut(config.opacity.steepness**progress)
+        self._cut(settings.opacity.steepness**progress)
         pose = self.shape.pose(views)
         self.renderer.move(dr.detach(pose.positions))
         surface = self.latent.evaluate(pose.positions, pose.base, pose.parameters, views)
-        spp = max(config.optimizer.spp, min(_CAREFUL_SPP, round(config.optimizer.spp / self.caution)))
+        spp = max(settings.optimizer.spp, min(_CAREFUL_SPP, round(settings.optimizer.spp / self.caution)))
         frame = self.renderer.render(surface, self.latent.textures, views.under(ambient), spp=spp, seed=seed)
 
         background = self._background(dr.width(frame.image), seed)
@@ -128,9 +130,9 @@ class Fit:
             frame, grad_image, surface, self.latent.textures, pose.positions, seed ^ dr.opaque(mi.UInt32, 0x5BD1E995)
         )
         del frame  # its graph holds on to the textures, which then could not be written in place
-        if dr.grad_enabled(pose.base) and config.loss.laplacian.weight > 0:
+        if dr.grad_enabled(pose.base) and settings.loss.laplacian.weight > 0:
             dr.backward(self.laplacian.loss(pose.base) * self._laplacian_weight(loss, progress))
-        factor = self.caution * exponential(progress, config.optimizer.decay)
+        factor = self.caution * exponential(progress, settings.optimizer.decay)
         if texel_grad is not None:
             self.texels.step(texel_grad, dr.opaque(mi.Float, factor))
         self.shape.step(pose, factor)
@@ -143,13 +145,13 @@ class Fit:
             self.latent.textures.steepness = dr.opaque(mi.Float, steepness)
 
     def _laplacian_weight(self, loss: mi.Float, progress: float) -> mi.Float:
-        laplacian = self.config.loss.laplacian
+        laplacian = self.settings.loss.laplacian
         if self._laplacian_start is None:
             self._laplacian_start = laplacian.weight * float(loss[0]) / max(self.laplacian.absolute_start, 1e-12)
         return dr.opaque(mi.Float, self._laplacian_start * laplacian_weight(progress, laplacian.decay_to))
 
     def _background(self, n: int, seed: mi.UInt32) -> mi.Color3f:
-        if self.config.views.background == "black":
+        if self.settings.views.background == "black":
             return mi.Color3f(0)
         pixel = dr.arange(mi.UInt32, n)
         a, b = mi.sample_tea_32(pixel, seed + 17, 6)
@@ -216,7 +218,7 @@ class Fit:
         The current state as a model; what is not optimised is the first guess's own.
         """
         fitted = self.latent.model(*self.shape.values())
-        taken = self.first_guess.taking(fitted, self.config.latent.optimize)
+        taken = self.first_guess.taking(fitted, self.settings.latent.optimize)
         return replace(taken, ambient=self.ambient.written())
 
     def parameters(self) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..config import Config
+from ..config import FitSettings
 from ..machine.upload import upload
 from ..scenes.references.reference import OwnViews, Reference
 from ..scenes.views import Views
@@ -34,7 +34,7 @@ class HeldOut:
         Names the views where it has some of its own.
     draw : callable
         ``draw(n, rng, resolution) -> list of Views``, as in :class:`.pool.ViewPool`; for references that show any view.
-    config : Config
+    settings : FitSettings
 
     Attributes
     ----------
@@ -43,13 +43,13 @@ class HeldOut:
         Linear radiance on black, and coverage; 0 where the reference does not know.
     """
 
-    def __init__(self, reference: Reference, draw: Callable, config: Config):
-        judged = config.evaluation
-        resolution, n = min(judged.resolution, max(config.optimizer.resolution)), min(judged.views, _MOST)
+    def __init__(self, reference: Reference, draw: Callable, settings: FitSettings):
+        judged = settings.evaluation
+        resolution, n = min(judged.resolution, max(settings.optimizer.resolution)), min(judged.views, _MOST)
         if isinstance(reference, OwnViews):
             self.views = reference.held_out(n, resolution)
         else:
-            rng = np.random.default_rng(config.seed + 1)
+            rng = np.random.default_rng(settings.seed + 1)
             self.views = Views.concatenate(draw(n, rng, resolution))
         images = np.mean([reference.render(self.views, seed=k + 1) for k in range(RENDERS)], axis=0)
         self._unknown = np.isnan(images).any(axis=3)[..., None]

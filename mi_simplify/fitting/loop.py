@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from ..config import Config
+from ..config import FitSettings
 from ..model.model import Model
 from ..progress import Progress, ProgressCallback, silent
 from ..scenes.references.reference import Reference
@@ -39,14 +39,14 @@ class Run:
     model : Model
         First guess in the normalised frame.
     reference : Reference
-    config : Config
+    settings : FitSettings
     state : dict, optional
         Of the run to go on with, from :meth:`state`; model, reference and configuration are the same as there.
     """
 
-    def __init__(self, model: Model, reference: Reference, config: Config, state: dict | None = None):
-        self.fit, self.first_guess, self.n_steps = Fit(model, reference, config), model, config.optimizer.steps
-        self.every = config.evaluation.every
+    def __init__(self, model: Model, reference: Reference, settings: FitSettings, state: dict | None = None):
+        self.fit, self.first_guess, self.n_steps = Fit(model, reference, settings), model, settings.optimizer.steps
+        self.every = settings.evaluation.every
         self.done, self._earlier, self._start = 0, 0.0, time.perf_counter()
         self.records: list[dict] = []
         self.best, self.best_step, self.least, self.setbacks = self.fit.parameters(), 0, math.inf, 0
@@ -137,7 +137,7 @@ class Run:
 def fit(
     model: Model,
     reference: Reference,
-    config: Config,
+    settings: FitSettings = FitSettings(),
     progress: ProgressCallback = silent,
     on_step: Callable[[Run], None] | None = None,
     state: dict | None = None,
@@ -155,8 +155,8 @@ def fit(
     model : Model
         First guess in the normalised frame.
     reference : Reference
-    config : Config
-        Sections ``views``, ``optimizer``, ``loss``, ``latent``, ``reference.pool`` and ``evaluation.every`` are read.
+    settings : FitSettings
+        A whole job (:class:`..config.Config`) is one, too.
     progress : callable
     on_step : callable, optional
         ``on_step(run)`` after every step: checkpoints, pictures.
@@ -167,9 +167,9 @@ def fit(
     -------
     FitResult
     """
-    if config.optimizer.steps == 0:
+    if settings.optimizer.steps == 0:
         return FitResult(model)
-    run = Run(model, reference, config, state)
+    run = Run(model, reference, settings, state)
     while run.done < run.n_steps:
         record = run.step()
         if record is not None:

@@ -5,11 +5,14 @@ Image losses, per channel and pixel, and the one place where they are reduced an
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import ConfigError
+from ..registry import Registry
+
+ImageLoss = Callable[[Any, Any], Any]
 
 
 def srgb(x):
@@ -59,10 +62,33 @@ def relative_l2(image, reference):
     return dr.square(image - reference) / (dr.square(reference) + 0.01)
 
 
-LOSSES: dict[str, Callable] = {f.__name__: f for f in (log_l1, log_l2, l1, l2, smape, relative_l2)}
+LOSSES: Registry[ImageLoss] = Registry("loss (loss.image)")
 
 
-def image_loss(name: str) -> Callable:
+def register_loss(name: str, loss: ImageLoss, *, replace: bool = False) -> None:
+    """
+    Make an image loss known to ``loss.image``.
+
+    Parameters
+    ----------
+    name : str
+    loss : callable
+        ``loss(image, reference)``: two ``mi.Color3f`` of linear radiance to one of the same width, elementwise,
+        differentiable in the first; its slope should vanish where both are equal.
+
+    Raises
+    ------
+    ValueError
+        The name is taken.
+    """
+    LOSSES.register(name, loss, replace=replace)
+
+
+for _loss in (log_l1, log_l2, l1, l2, smape, relative_l2):
+    register_loss(_loss.__name__, _loss)
+
+
+def image_loss(name: str) -> ImageLoss:
     """
     The loss of this name.
 
@@ -71,8 +97,6 @@ def image_loss(name: str) -> Callable:
     ConfigError
         No such loss.
     """
-    if name not in LOSSES:
-        raise ConfigError(f"loss.image: unknown loss '{name}', expected one of {', '.join(LOSSES)}")
     return LOSSES[name]
 
 

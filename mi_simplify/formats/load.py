@@ -15,16 +15,33 @@ import numpy as np
 from ..errors import AssetError, MemoryLimitError, UserError
 from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
+from ..registry import Registry
 from .resources import printable
 from .validate import check_asset
 
-_READERS = {
-    ".obj": "read_obj", ".ply": "read_ply", ".stl": "read_stl", ".glb": "read_gltf", ".gltf": "read_gltf",
-    ".usd": "read_usd", ".usda": "read_usd", ".usdc": "read_usd", ".usdz": "read_usd", ".xml": "read_mitsuba",
-}  # fmt: skip
+Reader = Callable[[Path], Asset]
 
-#: Suffixes that :func:`load_asset` reads.
-SUFFIXES = tuple(_READERS)
+READERS: Registry[Reader] = Registry("format")
+
+
+def register_reader(suffix: str, reader: Reader, *, replace: bool = False) -> None:
+    """
+    Make a model format known to :func:`load_asset`, and so to every command.
+
+    Parameters
+    ----------
+    suffix : str
+        Of its files, lower case, with the dot.
+    reader : callable
+        ``reader(path) -> Asset`` in the conventions of :mod:`..model.asset`. What is wrong with a file it raises as
+        ``AssetError``; arrays need no checks, what cannot be rendered is refused afterwards.
+
+    Raises
+    ------
+    ValueError
+        The suffix is taken.
+    """
+    READERS.register(suffix, reader, replace=replace)
 
 
 def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
@@ -61,8 +78,8 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
     if not path.is_file():
         raise AssetError(f"the {purpose} '{path}' is no file; name the model file in it")
     suffix = path.suffix.lower()
-    if suffix not in _READERS:
-        known = ", ".join(s[1:].upper() for s in _READERS)
+    if suffix not in READERS:
+        known = ", ".join(s[1:].upper() for s in READERS)
         raise AssetError(
             f"the {purpose} '{path}' is of an unknown format '{suffix}'; known are {known}; export it as one of these"
         )
@@ -70,7 +87,7 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
         raise AssetError(f"the {purpose} '{path}' is empty")
     try:
         with np.errstate(all="ignore"):  # what is not finite in the end is found by the check
-            asset = check_asset(_reader(suffix)(path), path.name)
+            asset = check_asset(READERS[suffix](path), path.name)
     except UserError as error:
         line = printable(str(error), 600)  # names in a file may hold anything
         if line == str(error):
@@ -92,23 +109,57 @@ _MALFORMED = (
 )  # fmt: skip
 
 
-def _reader(suffix: str) -> Callable[[Path], Asset]:
-    """The reader of a format; imported when needed, since USD takes a while."""
-    name = _READERS[suffix]
-    if name == "read_obj":
-        from .obj.read import read_obj as reader
-    elif name == "read_ply":
-        from .ply import read_ply as reader
-    elif name == "read_stl":
-        from .stl import read_stl as reader
-    elif name == "read_gltf":
-        from .gltf.read import read_gltf as reader
-    elif name == "read_mitsuba":
-        ensure_variant()  # before Mitsuba's classes can be named
-        from .mitsuba.read import read_mitsuba as reader
-    else:
-        try:
-            from .usd.read import read_usd as reader
-        except ImportError as error:
-            raise AssetError(f"USD files need the package usd-core: pip install usd-core ({error})") from error
-    return reader
+# Readers are imported when they are needed, since USD and Mitsuba take a while.
+
+
+def _obj(path: Path) -> Asset:
+    from .obj.read import read_obj
+
+    return read_obj(path)
+
+
+def _ply(path: Path) -> Asset:
+    from .ply import read_ply
+
+    return read_ply(path)
+
+
+def _stl(path: Path) -> Asset:
+    from .stl import read_stl
+
+    return read_stl(path)
+
+
+def _gltf(path: Path) -> Asset:
+    from .gltf.read import read_gltf
+
+    return read_gltf(path)
+
+
+def _other(path: Path) -> Asset:
+    from .by_trimesh import read_by_trimesh
+
+    return read_by_trimesh(path)
+
+
+def _mitsuba(path: Path) -> Asset:
+    ensure_variant()  # before Mitsuba's classes can be named
+    from .mitsuba.read import read_mitsuba
+
+    return read_mitsuba(path)
+
+
+def _usd(path: Path) -> Asset:
+    try:
+        from .usd.read import read_usd
+    except ImportError as error:
+        raise AssetError(f"USD files need the package usd-core: pip install usd-core ({error})") from error
+    return read_usd(path)
+
+
+for _read, _suffixes in (
+    (_obj, ".obj"), (_ply, ".ply"), (_stl, ".stl"), (_gltf, ".glb .gltf"), (_usd, ".usd .usda .usdc .usdz"),
+    (_mitsuba, ".xml"), (_other, ".off .3mf .dae"),
+):  # fmt: skip
+    for _suffix in _suffixes.split():
+        register_reader(_suffix, _read)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..config import InitialSettings, validated
 from ..errors import MeshError
 from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
@@ -19,7 +20,8 @@ from ..model.model import Displacement, Model, tessellated
 from ..model.tessellation import Tessellation
 from ..model.topology import area_vectors
 from .bake.baker import bake
-from .cards.cards import cards, is_aggregate
+from .cards.cards import cards as card_model
+from .cards.cards import is_aggregate
 from .closest import ClosestPoints
 from .reduce.cleanup import clean
 from .reduce.decimate import decimate
@@ -30,72 +32,36 @@ from .unwrap.charting import unwrap
 
 log = logging.getLogger("mi_simplify")
 
-KINDS = ("decimate", "cards", "sphere", "mesh")
-TEXTURES = ("bake", "constant", "random")
+#: Points a side that are baked for every texel.
+_SAMPLES = 2
 
 
 def first_guess(
     asset: Asset,
+    settings: InitialSettings | None = None,
     *,
-    triangles: int | None = None,
-    atlas_size: int = 1024,
-    textures: str = "bake",
+    mesh: Asset | None = None,
     seed: int = 0,
-    kind: str = "decimate",
-    init: Asset | None = None,
-    keep_uv: bool = False,
-    repair: bool = False,
-    samples: int = 2,
-    oversample: int = 1,
-    padding: int = 4,
-    time_limit: float = 60.0,
-    crease_angle: float = 20.0,
-    output: str = "mask",
-    subdivisions: int = 0,
-    tessellations: tuple[int, ...] = (),
+    cards: str = "mask",
+    **changes: Any,
 ) -> tuple[Model, list[str]]:
     """
-    A model to start from.
+    A model to start from: :func:`decimated`, :func:`on_cards`, :func:`inflated` or :func:`from_mesh`, by the settings.
 
     Parameters
     ----------
     asset : Asset
         The reference; the result is in the same frame.
-    triangles : int
-        Budget, at least 4 and at most the asset's own count; without it ``kind="mesh"`` keeps all that it has.
-    atlas_size : int
-        Side of the textures [texels].
-    textures : {'bake', 'constant', 'random'}
-        Ray-cast from the asset; its mean; uniform noise. The last two have a flat normal map.
+    settings : InitialSettings, optional
+        Section ``initial`` of the configuration; its defaults if not given.
+    mesh : Asset, optional
+        Low-poly mesh in the frame of ``asset``, for :func:`from_mesh`.
     seed : int
-        Of the noise.
-    kind : {'decimate', 'cards', 'sphere', 'mesh'}
-        Quadric edge collapse of the asset; textured quads, see :func:`.cards.cards.cards`; an ellipsoid in its
-        bounding box;
-        the mesh of ``init``.
-    init : Asset, optional
-        Low-poly mesh in the frame of ``asset``, for ``kind="mesh"``. UVs without overlap are kept.
-    keep_uv : bool
-        Refuse ``init`` where its UVs cannot be kept.
-    repair : bool
-        Mend ``init`` where it is damaged: pieces that came off, stray vertices, lost volume.
-    samples : int
-        ``samples``² points are baked for every texel.
-    oversample : int
-        Power of two: bake textures of so many times the side, and filter them down as ``mips.filtered_levels`` does,
-        the spread of normals becoming roughness.
-    padding : int
-        Empty texels between charts.
-    time_limit : float
-        Seconds that the unwrapping may take.
-    crease_angle : float
-        Edges of the reduced mesh that turn by more get two normals [degrees]; 180 has none.
-    output : {'mask', 'blend', 'opaque'}
+        Of the noise of random textures.
+    cards : {'mask', 'blend', 'opaque'}
         How cards are transparent.
-    subdivisions : int
-        Split the faces so many times, and displace what comes of it onto the asset.
-    tessellations : tuple of int
-        Subdivisions that it is to be fitted for at once, whose coarsest the normal map belongs to.
+    changes
+        Settings by name, as in ``first_guess(asset, triangles=500)``; they win over ``settings``.
 
     Returns
     -------
@@ -107,56 +73,131 @@ def first_guess(
     ------
     MeshError
         The budget or one of the meshes cannot be used.
+    ConfigError
+        There is no such setting, or its value is out of range.
     """
-    if kind not in KINDS or textures not in TEXTURES:
-        raise ValueError(f"kind must be one of {KINDS}, textures one of {TEXTURES}; got {kind!r}, {textures!r}")
-    notes = list(asset.notes)
-    if kind == "cards":
-        model, more = cards(asset, _budget(triangles), atlas_size=atlas_size, samples=samples, output=output)
-        return model, _logged(notes + more)
-    if kind == "mesh":
-        if init is None:
-            raise MeshError("a start from a mesh needs one: name the file")
-        n = init.n_triangles
-        if triangles is not None and triangles < n:
-            raise MeshError(
-                f"{init.name} has {n} triangles ({_n_positions(init)} vertices), above the budget of {triangles}; "
-                "ask for as many, or decimate it first"
-            )
-        if (init.bounds[0] > asset.bounds[1]).any() or (init.bounds[1] < asset.bounds[0]).any():
-            raise MeshError(
-                f"{init.name} does not stand where {asset.name} does: their boxes do not meet; export both in the same "
-                "place and unit"
-            )
-        soup = clean(merge(asset))[0] if repair else None
-        mesh, more = keep_mesh(
-            init, reference=None if soup is None else ClosestPoints(soup.positions, soup.position_faces),
-            keep_uv=keep_uv, atlas_size=atlas_size, padding=padding, time_limit=time_limit, crease_angle=crease_angle,
-        )  # fmt: skip
-    else:
-        if kind == "decimate":
-            why = is_aggregate(asset, _budget(triangles))
-            if why:
-                notes.append(f"{why}: textured cards (--mode cards) may show them better than one surface")
-                log.warning("%s", notes[-1])
-            positions, faces, more = reduced(asset, _budget(triangles))
-            notes += more
-        else:
-            low, high = asset.bounds
-            half = np.maximum((high - low) / 2, 0.05 * (high - low).max())
-            positions, faces = sphere(_budget(triangles))
-            positions = positions * half + (low + high) / 2
-        mesh, more = unwrap(
-            positions, faces, atlas_size=atlas_size, padding=padding, time_limit=time_limit, crease_angle=crease_angle
+    if settings is None or changes:
+        stated = {} if settings is None else settings.model_dump(exclude_unset=True)
+        named = {} if mesh is None else {"kind": "mesh", "mesh": mesh.source or mesh.name}
+        settings = validated(InitialSettings, {**named, **stated, **changes})
+    if settings.kind == "auto":
+        settings = settings.model_copy(
+            update={"kind": "cards" if is_aggregate(asset, budget(settings)) else "decimate"}
         )
-    notes += more
-    model = replace(_plain(asset, mesh, atlas_size, textures, seed), name=asset.name)
-    if subdivisions:
-        model = displaced_onto(asset, model, subdivisions, tessellations)
+    if settings.kind == "cards":
+        return on_cards(asset, settings, cards=cards)
+    if settings.kind == "mesh":
+        if mesh is None:
+            raise MeshError("a start from a mesh needs one: name the file")
+        return from_mesh(asset, mesh, settings, seed=seed)
+    return (decimated if settings.kind == "decimate" else inflated)(asset, settings, seed=seed)
+
+
+def decimated(asset: Asset, settings: InitialSettings, *, seed: int = 0) -> tuple[Model, list[str]]:
+    """
+    Quadric edge collapse of the asset, unwrapped and baked; parameters, results and errors as of :func:`first_guess`.
+    """
+    notes, triangles = list(asset.notes), budget(settings)
+    why = is_aggregate(asset, triangles)
+    if why:
+        notes.append(f"{why}: textured cards (--mode cards) may show them better than one surface")
+        log.warning("%s", notes[-1])
+    positions, faces, more = reduced(asset, triangles)
+    mesh, charted = unwrapped(positions, faces, settings)
+    return _textured(asset, mesh, settings, seed, notes + more + charted)
+
+
+def on_cards(asset: Asset, settings: InitialSettings, *, cards: str = "mask") -> tuple[Model, list[str]]:
+    """
+    Textured quads for foliage, see :func:`.cards.cards.cards`; results and errors as of :func:`first_guess`.
+
+    Parameters
+    ----------
+    cards : {'mask', 'blend', 'opaque'}
+        How they are transparent.
+    """
+    model, notes = card_model(
+        asset, budget(settings), atlas_size=settings.atlas_size, samples=_SAMPLES, output=cards
+    )  # fmt: skip
+    return model, _logged([*asset.notes, *notes])
+
+
+def inflated(asset: Asset, settings: InitialSettings, *, seed: int = 0) -> tuple[Model, list[str]]:
+    """
+    An ellipsoid in the asset's box, the paper's start from a sphere; results and errors as of :func:`first_guess`.
+    """
+    low, high = asset.bounds
+    half = np.maximum((high - low) / 2, 0.05 * (high - low).max())
+    positions, faces = sphere(budget(settings))
+    mesh, charted = unwrapped(positions * half + (low + high) / 2, faces, settings)
+    return _textured(asset, mesh, settings, seed, [*asset.notes, *charted])
+
+
+def from_mesh(asset: Asset, low: Asset, settings: InitialSettings, *, seed: int = 0) -> tuple[Model, list[str]]:
+    """
+    A mesh of the user's own, baked; its UVs are kept where they do not overlap.
+
+    Parameters
+    ----------
+    low : Asset
+        In the frame of ``asset``. With ``settings.repair`` it is mended by the asset where it is damaged.
+    """
+    n = low.n_triangles
+    if settings.triangles is not None and settings.triangles < n:
+        raise MeshError(
+            f"{low.name} has {n} triangles ({_n_positions(low)} vertices), above the budget of {settings.triangles}; "
+            "ask for as many, or decimate it first"
+        )
+    if (low.bounds[0] > asset.bounds[1]).any() or (low.bounds[1] < asset.bounds[0]).any():
+        raise MeshError(
+            f"{low.name} does not stand where {asset.name} does: their boxes do not meet; export both in the same "
+            "place and unit"
+        )
+    soup = clean(merge(asset))[0] if settings.repair else None
+    mesh, notes = keep_mesh(
+        low, reference=None if soup is None else ClosestPoints(soup.positions, soup.position_faces),
+        keep_uv=settings.keep_uv, atlas_size=settings.atlas_size, padding=settings.padding,
+        crease_angle=settings.crease_angle,
+    )  # fmt: skip
+    return _textured(asset, mesh, settings, seed, [*asset.notes, *notes])
+
+
+def budget(settings: InitialSettings) -> int:
+    """
+    The triangles asked for.
+
+    Raises
+    ------
+    MeshError
+        None are, as settings for a mesh of the user's own have it.
+    """
+    if settings.triangles is None:
+        raise MeshError("a budget of triangles is needed: name it")
+    return settings.triangles
+
+
+def unwrapped(positions: np.ndarray, faces: np.ndarray, settings: InitialSettings) -> tuple[Mesh, list[str]]:
+    """
+    A welded mesh with charts and creases as the settings have them, and notes.
+    """
+    return unwrap(
+        positions, faces, atlas_size=settings.atlas_size, padding=settings.padding, crease_angle=settings.crease_angle
+    )
+
+
+def _textured(
+    asset: Asset, mesh: Mesh, settings: InitialSettings, seed: int, notes: list[str]
+) -> tuple[Model, list[str]]:
+    """The mesh, displaced where that is asked for, with the textures that are asked for."""
+    size, oversample = settings.atlas_size, settings.oversample
+    model = replace(_plain(asset, mesh, size, settings.textures, seed), name=asset.name)
+    if settings.subdivisions:
+        model = displaced_onto(asset, model, settings.subdivisions, settings.tessellations)
         mesh = tessellated(model).mesh
-        notes.append(f"{len(model.mesh.faces)} triangles of a base mesh are split in {4**subdivisions} and displaced")
-    if textures == "bake":
-        baked = bake(asset, mesh, size=atlas_size * oversample, samples=samples if oversample == 1 else 1)
+        split = 4**settings.subdivisions
+        notes.append(f"{len(model.mesh.faces)} triangles of a base mesh are split in {split} and displaced")
+    if settings.textures == "bake":
+        baked = bake(asset, mesh, size=size * oversample, samples=_SAMPLES if oversample == 1 else 1)
         if baked.missed > 0.05:
             notes.append(
                 f"{baked.missed:.0%} of the baked points saw no surface along their normal and took the closest"
@@ -167,12 +208,6 @@ def first_guess(
             images = filtered_levels(**images)[oversample.bit_length() - 2]
         model = replace(model, alpha_mode=mode, alpha_cutoff=cutoff, **images)
     return model, _logged(notes)
-
-
-def _budget(triangles: int | None) -> int:
-    if triangles is None:
-        raise MeshError("a budget of triangles is needed: name it")
-    return triangles
 
 
 def _logged(notes: list[str]) -> list[str]:
@@ -194,39 +229,6 @@ def displaced_onto(asset: Asset, model: Model, subdivisions: int, tessellations:
         height, size = halved(height), size // 2
     displacement = Displacement(height[..., 0].astype(np.float32), subdivisions, tessellations)
     return replace(model, mesh=tessellation.base, displacement=displacement)
-
-
-def quadrics_only(asset: Asset, triangles: int, *, atlas_size: int = 1024) -> tuple[Model, list[str]]:
-    """
-    What a user would take instead: fast-simplification, colours carried over by closest point, no normal map.
-
-    The baseline of the reports. Smooth normals; ``triangles`` may exceed the asset's, which then stays as it is.
-    """
-    positions, faces, notes = fast_quadrics(asset, triangles)
-    mesh, more = unwrap(positions, faces, atlas_size=atlas_size)
-    baked = bake(asset, mesh, size=atlas_size, samples=1, reach=0.0)
-    mode, cutoff = alpha_of(asset, baked.base_color)
-    flat = np.broadcast_to(np.array([0, 0, 1], np.float32), baked.normal.shape).copy()
-    model = Model(mesh, baked.base_color, baked.specular, flat, mode, cutoff, name=asset.name)
-    return model, notes + more
-
-
-def fast_quadrics(asset: Asset, triangles: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """
-    As :func:`reduced`, by fast-simplification: what others have for free.
-    """
-    import fast_simplification
-
-    soup, notes = clean(merge(asset))
-    positions, faces = soup.positions, soup.position_faces
-    if triangles < len(faces):
-        low = positions.min(0)
-        scale = 100 / np.ptp(positions, axis=0).max()  # fast-simplification compares errors with absolute thresholds
-        points, faces = fast_simplification.simplify(
-            ((positions - low) * scale).astype(np.float32), faces.astype(np.int32), target_count=triangles
-        )
-        positions, faces = points.astype(np.float64) / scale + low, faces.astype(np.int64)
-    return positions, faces, notes
 
 
 def reduced(asset: Asset, triangles: int) -> tuple[np.ndarray, np.ndarray, list[str]]:

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..config import Config
 from ..errors import OutputError
-from ..export import FORMATS, as_exported
+from ..export import WRITERS, as_exported
 from ..fitting import Run
 from ..fitting.fit import REFRESH_EVERY
 from ..fitting.schedules import resolution_at
@@ -36,6 +36,7 @@ from ..report.html import report_page
 from ..scenes.references.reference import Reference
 from ..subjects import Subject, open_subject
 from .footprint import check_footprint, footprint
+from .names import require_names
 
 
 @dataclass
@@ -97,6 +98,7 @@ def forecast(
     if resume:
         raise OutputError("--dry-run says what a whole run takes; leave out --resume")
     folder = RunFolder(out, overwrite=overwrite)
+    require_names(config)
     check_footprint(config)
     if config.export.tensorboard:
         require_tensorboard()
@@ -134,7 +136,7 @@ def _plan(config: Config, asset: Asset, guess: Model, notes: list[str], out: Pat
         "fit": f"{fit.steps:,} steps of {fit.batch} views of {sizes} pixels with {fit.spp} samples, "
         f"{config.reference.transport} light; {', '.join(fitted)}",
         "evaluation": f"{seen.views} views of {seen.resolution}² pixels with {seen.spp} samples",
-        "results": f"{out}: {', '.join(FORMATS[name] for name in config.export.formats)}, report.html, …",
+        "results": f"{out}: {', '.join(WRITERS[name].file for name in config.export.formats)}, report.html, …",
     }
 
 

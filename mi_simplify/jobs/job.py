@@ -33,6 +33,7 @@ from ..record.stopwatch import Stopwatch
 from ..report.folder import report_folder
 from ..subjects import Subject, open_asset, open_subject
 from .footprint import check_footprint
+from .names import require_names
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,7 @@ def run_job(
     folder = RunFolder(out, overwrite=overwrite, resume=resume)
     if config.export.tensorboard:
         require_tensorboard()
+    require_names(config)
     check_footprint(config)
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
     with DeferredInterrupt() as interrupt:
@@ -215,7 +217,7 @@ def bake_job(
     progress(Progress("load"))
     asset, init = open_asset(reference), open_asset(lowpoly)
     progress(Progress("bake"))
-    model, _ = first_guess(asset, atlas_size=atlas_size, kind="mesh", init=init, keep_uv=keep_uv)
+    model, _ = first_guess(asset, mesh=init, atlas_size=atlas_size, keep_uv=keep_uv, repair=False)
     progress(Progress("export"))
     with folder.opened(), folder.staged() as stage:
         files = export_model(model, stage, extras={"generator": f"mi_simplify {__version__}"})

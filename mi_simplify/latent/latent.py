@@ -15,6 +15,7 @@ from ..model.mesh import Mesh
 from ..model.model import Model
 from ..model.tangents import split_mirrored
 from ..scenes.views import Views
+from . import operations as operations  # makes them known
 from .operation import operation_of
 from .surface import MeshTopology, Surface
 from .textures import Textures

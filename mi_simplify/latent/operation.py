@@ -4,14 +4,16 @@ Between the vertices that are optimised and those that are rendered: the paper's
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import mitsuba as mi
 import numpy as np
 
-from ..errors import MeshError
 from ..model.mesh import Mesh
 from ..model.model import Model
+from ..registry import Registry
 from ..scenes.views import Views
 from .surface import MeshTopology, Surface
 
@@ -92,24 +94,44 @@ class Identity:
         return model
 
 
+@dataclass(frozen=True)
+class _Kind:
+    """Which models an operation is for, and how it is made."""
+
+    applies: Callable[[Model], bool]
+    make: Callable[[Model], MeshOperation]
+
+
+OPERATIONS: Registry[_Kind] = Registry("mesh operation")
+
+
+def register_operation(
+    name: str, applies: Callable[[Model], bool], make: Callable[[Model], MeshOperation], *, replace: bool = False
+) -> None:
+    """
+    Make a mesh operation known: of those that apply to a model, the last registered is taken.
+
+    Parameters
+    ----------
+    name : str
+    applies : callable
+        Whether a model asks for it; a subclass of :class:`..model.model.Model` may hold what it needs.
+    make : callable
+        The operation of such a model.
+
+    Raises
+    ------
+    ValueError
+        The name is taken.
+    """
+    OPERATIONS.register(name, _Kind(applies, make), replace=replace)
+
+
 def operation_of(model: Model) -> MeshOperation:
     """
-    The operation that a model's own fields ask for.
+    The operation that a model asks for.
     """
-    if model.skin is not None and (model.displacement is not None or model.vertex_sets is not None):
-        raise MeshError(
-            "a character is neither displaced nor has vertex sets: leave out `initial.subdivisions` and those"
-        )
-    if model.displacement is not None:
-        from .displacement import Displaced
+    return next(kind.make(model) for _, kind in OPERATIONS.latest_first() if kind.applies(model))
 
-        return Displaced(model)
-    if model.skin is not None:
-        from .skinning import Skinning
 
-        return Skinning(model, model.skin)
-    if model.vertex_sets is not None:
-        from .vertex_sets import Blended
-
-        return Blended(model)
-    return Identity(model)
+register_operation("identity", lambda model: True, Identity)

@@ -7,11 +7,31 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from ..config.section import CODE_NAME
 from ..errors import AssetError
+
+
+def run_extensions(names: Iterable[str]) -> None:
+    """
+    Import modules or files of the user's own, which register what they add; a second time nothing happens.
+
+    Raises
+    ------
+    AssetError
+        There is no such module or file, or its code fails.
+    """
+    for name in names:
+        if name not in _RUN:
+            _loaded(name, f"extension '{name}'")
+            _RUN.add(name)
+
+
+#: Extensions that have run in this process.
+_RUN: set[str] = set()
 
 
 def code_named(text: str, purpose: str) -> Any:
@@ -29,16 +49,21 @@ def code_named(text: str, purpose: str) -> Any:
     if match is None:
         raise AssetError(f"the {purpose} '{text}' should read package.module:name or file.py:name")
     module, name = match["module"], match["name"]
+    loaded = _loaded(module, f"{purpose} '{text}'")
+    if not hasattr(loaded, name):
+        raise AssetError(f"the {purpose} '{text}': {module} has no '{name}'")
+    return getattr(loaded, name)
+
+
+def _loaded(module: str, what: str) -> Any:
+    """A module by its name or file, imported."""
     try:
-        loaded = _module_of_file(Path(module)) if module.endswith(".py") else _module_named(module)
+        return _module_of_file(Path(module)) if module.endswith(".py") else _module_named(module)
     except AssetError:
         raise
     except Exception as error:
         line = (str(error).splitlines() or [""])[0]
-        raise AssetError(f"the {purpose} '{text}': {module} fails: {type(error).__name__}: {line}") from error
-    if not hasattr(loaded, name):
-        raise AssetError(f"the {purpose} '{text}': {module} has no '{name}'")
-    return getattr(loaded, name)
+        raise AssetError(f"the {what}: {module} fails: {type(error).__name__}: {line}") from error
 
 
 def _module_named(name: str) -> Any:

@@ -24,7 +24,8 @@ from ..model.model import Model
 from ..model.rig import BIND_POSE, Rig
 from ..model.rigging import Rigging
 from ..progress import ProgressCallback
-from .subject import Subject
+from ..scenes.references.reference import Reference
+from .subject import Subject, reference_for, renderer_of
 
 
 class Character(Subject):
@@ -49,11 +50,16 @@ class Character(Subject):
         super().__init__(config, geometry)
         self.fitted, self.judged = split_frames(rig_of(geometry), config.animation)
 
+    @property
+    def display(self) -> Asset:
+        """See :class:`.subject.Subject`."""
+        return self.geometry
+
     def guess(self) -> tuple[Model, list[str]]:
         """
         See :class:`.subject.Subject`: a first guess of the bind pose, with weights.
         """
-        model, notes = super().guess()
+        model, notes = self._first_guess()
         if model.displacement is not None or model.vertex_sets is not None:
             raise ConfigError("a character has one vertex set and no displacement map; leave both out of `initial`")
         by_bones = self.config.initial.kind == "sphere"
@@ -63,7 +69,7 @@ class Character(Subject):
         """
         See :class:`.subject.Subject`: decimated in the bind pose, weights carried over.
         """
-        return self._with_weights(super().baseline(triangles))
+        return self._with_weights(self._quadrics(triangles))
 
     def _with_weights(self, model: Model, by_bones: bool = False) -> Model:
         asset = self.frame.normalised(self.geometry)
@@ -76,6 +82,14 @@ class Character(Subject):
             weights = carried_weights(asset, model.mesh)
         rigging = Rigging(weights, rig, boxes(asset), fitted, self.config.animation.influences, reach)
         return replace(model, skin=rigging)
+
+    def reference(self) -> Reference:
+        """See :class:`.subject.Subject`."""
+        return reference_for(self.frame.normalised(self.geometry), self.config)
+
+    def renderer(self, spp: int) -> Reference:
+        """See :class:`.subject.Subject`."""
+        return renderer_of(self.geometry, self.config, spp)
 
     def facts(self, model: Model) -> dict[str, Any]:
         """

@@ -17,6 +17,7 @@ from ..initial.visual_hull import mean_color, visual_hull
 from ..judging.comparison import Comparison
 from ..judging.evaluate import Judging
 from ..model.asset import Asset
+from ..model.model import Model
 from ..progress import ProgressCallback
 from ..scenes.references.images import ImageReference
 from ..scenes.references.reference import Reference
@@ -66,6 +67,22 @@ class ImageSubject(Subject):
     def display(self) -> Asset | None:
         """See :class:`.subject.Subject`; a hull is no reference."""
         return None
+
+    def guess(self) -> tuple[Model, list[str]]:
+        """See :class:`.subject.Subject`."""
+        return self._first_guess()
+
+    def baseline(self, triangles: int) -> Model:
+        """See :class:`.subject.Subject`."""
+        return self._quadrics(triangles)
+
+    def facts(self, model: Model) -> dict[str, Any]:
+        """See :class:`.subject.Subject`; there are none."""
+        return {}
+
+    def renderer(self, spp: int) -> Reference:
+        """See :class:`.subject.Subject`; images are what they are, whatever the samples."""
+        return ImageReference(self.captured, 1.0, np.zeros(3), self._fitted, self._held_out)
 
     def reference(self) -> Reference:
         """See :class:`.subject.Subject`."""

@@ -4,11 +4,19 @@ An implicit surface as the subject of a job: sphere traced, started from its iso
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from ..config import SAMPLE_PREFIX, Config
 from ..errors import ConfigError
 from ..initial.isosurface import isosurface
+from ..judging.comparison import Comparison
+from ..judging.evaluate import Judging
+from ..model.asset import Asset
+from ..model.model import Model
+from ..progress import ProgressCallback
 from ..scenes.implicit.surface import implicit_named
-from ..scenes.references.reference import FramedReference, Reference
+from ..scenes.references.reference import Reference
 from ..scenes.references.sphere_tracing import SphereTraced
 from ..scenes.samples.creature import creature
 from .subject import Subject, judged_as_fitted, with_ambient
@@ -43,11 +51,34 @@ class ImplicitSubject(Subject):
         config = judged_as_fitted(config)
         super().__init__(config, isosurface(self.surface, settings.resolution))
 
+    @property
+    def display(self) -> Asset:
+        """See :class:`.subject.Subject`."""
+        return self.geometry
+
+    def guess(self) -> tuple[Model, list[str]]:
+        """See :class:`.subject.Subject`."""
+        return self._first_guess()
+
+    def baseline(self, triangles: int) -> Model:
+        """See :class:`.subject.Subject`."""
+        return self._quadrics(triangles)
+
+    def facts(self, model: Model) -> dict[str, Any]:
+        """See :class:`.subject.Subject`; there are none."""
+        return {}
+
     def reference(self) -> Reference:
         """See :class:`.subject.Subject`."""
-        return FramedReference(self.renderer(self.config.reference.spp), self.frame.scale, self.frame.center)
+        return self._framed()
 
     def renderer(self, spp: int) -> Reference:
         """See :class:`.subject.Subject`."""
         shadows = self.config.reference.transport == "baked"
         return SphereTraced(self.surface, spp=spp, shadows=shadows, form=self.config.latent.shading)
+
+    def judge(
+        self, candidates: Mapping[str, Asset], judging: Judging = Judging(), progress: ProgressCallback | None = None
+    ) -> Comparison:
+        """See :class:`.subject.Subject`."""
+        return self._judged_in_its_own_light(candidates, judging, progress)

@@ -1,9 +1,11 @@
 """
-The subject of a job: a model file here, and what stands in for one in the modules beside this.
+What a job asks of its input, whatever that is.
 """
 
 from __future__ import annotations
 
+import logging
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +14,16 @@ from typing import Any
 import numpy as np
 
 from ..config import SAMPLE_PREFIX, Config
+from ..config.presets import STARTS
 from ..errors import AssetError
 from ..formats.images import decode_image
 from ..formats.load import load_asset
 from ..formats.mitsuba.read import SceneAsset
-from ..initial.guess import first_guess, quadrics_only
+from ..initial.cards.cards import is_aggregate
+from ..initial.guess import first_guess
+from ..initial.quadrics import quadrics_only
 from ..judging.comparison import Comparison
-from ..judging.evaluate import Judging, Rendering, compare_assets, compare_renderings
+from ..judging.evaluate import Judging, Rendering, compare_renderings
 from ..model.asset import Asset
 from ..model.frame import Frame
 from ..model.harmonics import constant_environment, environment_coefficients
@@ -26,18 +31,20 @@ from ..model.model import Model, VertexSets
 from ..progress import ProgressCallback
 from ..report.portrait import in_frame, portrait_view, render_picture
 from ..scenes.references.path_traced import make_reference
-from ..scenes.references.reference import Reference
+from ..scenes.references.reference import FramedReference, Reference
 from ..scenes.samples.catalogue import sample_asset
 from ..scenes.views import Views, held_out_views
 from .light import fitted_light
 
+log = logging.getLogger("mi_simplify")
 
-class Subject:
+
+class Subject(ABC):
     """
-    What is simplified: here an asset, which is rendered by Mitsuba and judged by path tracing.
+    What is simplified: everything that a job knows of its input.
 
-    Everything that a job knows of its input. Another kind of input is another subclass, in a module of its own, that
-    :func:`open_subject` knows by its name.
+    Each kind of input is a subclass in a module of its own, which :func:`.registry.register_subject` makes known. What
+    is abstract here differs between them; what begins with an underscore is there for them to use.
 
     Parameters
     ----------
@@ -56,38 +63,71 @@ class Subject:
     def __init__(self, config: Config, geometry: Asset):
         if config.reference.environment is not None and config.latent.ambient.kind == "auto":
             config = with_ambient(config, kind="environment", optimize=False)
-        self.config, self.geometry = config, geometry
+        self.config, self.geometry = with_kind(config, geometry), geometry
         self.frame = Frame.around(geometry.bounds)
 
     @property
+    @abstractmethod
     def display(self) -> Asset | None:
         """What stands for the subject where reports show it in 3D; None where there is nothing to show."""
-        return self.geometry
 
+    @abstractmethod
     def guess(self) -> tuple[Model, list[str]]:
         """
         The first guess that the configuration asks for, in the normalised frame, and notes on it.
         """
+
+    @abstractmethod
+    def baseline(self, triangles: int) -> Model:
+        """
+        What a user would take instead, in the normalised frame: see :func:`..initial.quadrics.quadrics_only`.
+        """
+
+    @abstractmethod
+    def reference(self) -> Reference:
+        """
+        The renderer of the target images that the configuration asks for, of views in the normalised frame.
+        """
+
+    @abstractmethod
+    def renderer(self, spp: int) -> Reference:
+        """
+        What shows the subject as the fit sees it, in the units of the input.
+        """
+
+    @abstractmethod
+    def facts(self, model: Model) -> dict[str, Any]:
+        """
+        What ``metrics.json`` tells of a fitted model, in the normalised frame, besides the usual.
+        """
+
+    @abstractmethod
+    def judge(
+        self, candidates: Mapping[str, Asset], judging: Judging = Judging(), progress: ProgressCallback | None = None
+    ) -> Comparison:
+        """
+        Compare candidates with the subject on views that no fit has seen.
+
+        Parameters
+        ----------
+        candidates : mapping of str to Asset
+            In the units of the input.
+        judging, progress
+            As in :func:`mi_simplify.judging.compare_assets`.
+        """
+
+    def _first_guess(self) -> tuple[Model, list[str]]:
+        """The first guess from the subject's geometry."""
         initial, frame = self.config.initial, self.frame
         asset = frame.normalised(self.geometry if initial.source is None else load_asset(initial.source))
         if initial.kind in ("decimate", "cards") and isinstance(asset, SceneAsset):
             asset.require_triangles()
+        mesh = None if initial.mesh is None else frame.normalised(load_asset(initial.mesh, purpose="low-poly mesh"))
+        repair = initial.repair and "vertices" in self.config.latent.optimize
         model, notes = first_guess(
-            asset,
-            triangles=initial.triangles,
-            atlas_size=initial.atlas_size,
-            textures=initial.textures,
-            kind=initial.kind,
-            init=None if initial.mesh is None else frame.normalised(load_asset(initial.mesh, purpose="low-poly mesh")),
-            keep_uv=initial.keep_uv,
-            repair=initial.repair and "vertices" in self.config.latent.optimize,
-            oversample=initial.oversample,
-            subdivisions=initial.subdivisions,
-            tessellations=initial.tessellations,
-            seed=self.config.seed,
-            crease_angle=initial.crease_angle,
-            output=self.config.opacity.cards,
-        )
+            asset, initial.model_copy(update={"repair": repair}), mesh=mesh, seed=self.config.seed,
+            cards=self.config.opacity.cards,
+        )  # fmt: skip
         if initial.vertex_sets > 1:
             sizes = tuple(float(max(self.config.optimizer.resolution) / 2**k) for k in range(initial.vertex_sets))
             offsets = np.zeros((len(sizes) - 1, *model.mesh.positions.shape))
@@ -104,18 +144,10 @@ class Subject:
             return constant_environment(ambient.color)
         return np.array([ambient.color], np.float32) if ambient.kind == "color" else None
 
-    def baseline(self, triangles: int) -> Model:
-        """
-        What a user would take instead, in the normalised frame: see :func:`mi_simplify.initial.guess.quadrics_only`.
-        """
+    def _quadrics(self, triangles: int) -> Model:
+        """The subject's geometry, decimated by others."""
         target = self.frame.normalised(self.geometry)
         return quadrics_only(target, triangles, atlas_size=self.config.initial.atlas_size)[0]
-
-    def reference(self) -> Reference:
-        """
-        The renderer of the target images that the configuration asks for, of views in the normalised frame.
-        """
-        return reference_for(self.frame.normalised(self.geometry), self.config)
 
     def lit_as_fitted(self, views: Views) -> Views:
         """
@@ -126,34 +158,6 @@ class Subject:
             return views
         place = np.asarray(light.position) / self.frame.scale + self.frame.center
         return views.lit_from(place, self.frame.center, light.irradiance)
-
-    def facts(self, model: Model) -> dict[str, Any]:
-        """
-        What ``metrics.json`` tells of a fitted model, in the normalised frame, besides the usual.
-        """
-        return {}
-
-    def judge(
-        self,
-        candidates: Mapping[str, Asset],
-        judging: Judging = Judging(),
-        progress: ProgressCallback | None = None,
-    ) -> Comparison:
-        """
-        Compare candidates with the subject on views that no fit has seen.
-
-        Parameters
-        ----------
-        candidates : mapping of str to Asset
-            In the units of the input.
-        judging, progress
-            As in :func:`mi_simplify.judging.compare_assets`.
-        """
-        if self.config.evaluation.light == "relit":
-            return compare_assets(self.geometry, candidates, judging, progress)
-        views = held_out_views(self.geometry.bounds, judging.n_views, judging.resolution, judging.seed)
-        settings = {"spp": judging.spp, "seed": judging.seed}
-        return self.compared(self.renderer(judging.spp), candidates, self.lit_as_fitted(views), settings, progress)
 
     def picture(self, frame: float | None = None, *, spp: int = 64, **view: Any) -> np.ndarray:
         """
@@ -175,12 +179,17 @@ class Subject:
         asset, transport = in_frame(self.geometry, frame), reference.transport
         return render_picture(asset, transport=transport, spp=spp, max_depth=reference.max_depth, **view)
 
-    def renderer(self, spp: int) -> Reference:
-        """
-        What shows the subject as the fit sees it, in the units of the input.
-        """
-        settings = self.config.reference.model_copy(update={"spp": spp})
-        return reference_for(self.geometry, self.config.model_copy(update={"reference": settings}))
+    def _framed(self) -> Reference:
+        """The subject's own renderer, for views in the normalised frame."""
+        return FramedReference(self.renderer(self.config.reference.spp), self.frame.scale, self.frame.center)
+
+    def _judged_in_its_own_light(
+        self, candidates: Mapping[str, Asset], judging: Judging, progress: ProgressCallback | None
+    ) -> Comparison:
+        """Beside images of its own renderer, in the light that was fitted."""
+        views = held_out_views(self.geometry.bounds, judging.n_views, judging.resolution, judging.seed)
+        settings = {"spp": judging.spp, "seed": judging.seed}
+        return self.compared(self.renderer(judging.spp), candidates, self.lit_as_fitted(views), settings, progress)
 
     def compared(
         self,
@@ -208,6 +217,19 @@ def open_asset(name: str) -> Asset:
     if name.startswith(SAMPLE_PREFIX):
         return sample_asset(name.removeprefix(SAMPLE_PREFIX))
     return load_asset(name)
+
+
+def with_kind(config: Config, geometry: Asset) -> Config:
+    """
+    The configuration with ``initial.kind: auto`` decided by the geometry, and what such a start has as defaults.
+    """
+    if config.initial.kind != "auto":
+        return config
+    why = is_aggregate(geometry, config.initial.triangles or 0)
+    log.warning("%s", f"aggregate geometry: {why}: cards" if why else "no aggregate geometry: one surface")
+    kind = "cards" if why else "decimate"
+    initial = config.initial.model_copy(update={"kind": kind})
+    return config.model_copy(update={"initial": initial}).started(STARTS.get(kind, {}))
 
 
 def with_ambient(config: Config, **changes: Any) -> Config:
@@ -242,6 +264,14 @@ def read_environment(path: str) -> np.ndarray:
     if image.dtype.kind != "f" or image.shape[2] < 3:
         raise AssetError(f"the environment map '{path}' should be an EXR or HDR image with three channels")
     return image[..., :3]
+
+
+def renderer_of(asset: Asset, config: Config, spp: int) -> Reference:
+    """
+    Mitsuba's rendering of an asset in the units of its file, as the configuration asks for it, with so many samples.
+    """
+    settings = config.reference.model_copy(update={"spp": spp})
+    return reference_for(asset, config.model_copy(update={"reference": settings}))
 
 
 def reference_for(asset: Asset, config: Config) -> Reference:

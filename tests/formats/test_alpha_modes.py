@@ -24,7 +24,7 @@ def test_each_mode_comes_back_as_it_was(alpha_test, tmp_path):
         if key in seen or len(part.faces) > 4:
             continue
         alone = Asset((part,), (Instance(0),), name="part")
-        model, _ = first_guess(alone, kind="mesh", init=alone, atlas_size=128)
+        model, _ = first_guess(alone, mesh=alone, repair=False, atlas_size=128)
         files = export_model(model, tmp_path / f"{key[0]}{key[1]}", formats=("glb", "usd"))
         for name, path in files.items():
             (mode,) = {p.material.alpha_mode for p in load_asset(path).parts}

@@ -176,7 +176,7 @@ def test_cards_from_the_command_line(mode, output, tmp_path, capsys):
     sets = [x for s in settings for x in ("--set", s)]
     line = ["simplify", "sample:shrub:5k", "--mode", mode, "-n", "400", "-o", str(tmp_path / "out"), *sets]
     assert cli.main(line) == 0
-    said = capsys.readouterr().out
+    said = "".join(capsys.readouterr())
     assert ("aggregate geometry" in said) == (mode == "auto")
     asset = load_asset(tmp_path / "out" / "model.glb")
     assert 300 < asset.n_triangles <= 400

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from mi_simplify.errors import MeshError
+from mi_simplify.config import InitialSettings
+from mi_simplify.errors import ConfigError, MeshError
 from mi_simplify.formats.mitsuba.read import SceneAsset
-from mi_simplify.initial.guess import alpha_of, first_guess, mean_material, quadrics_only
+from mi_simplify.initial.guess import alpha_of, decimated, first_guess, mean_material
+from mi_simplify.initial.quadrics import quadrics_only
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.initial.unwrap.atlas import texel_counts
 from mi_simplify.model.asset import Asset, Instance, Material, Part
@@ -38,7 +40,7 @@ def low_poly(n=200) -> Asset:
 STARTS = {
     "decimate": dict(kind="decimate", triangles=200),
     "sphere": dict(kind="sphere", triangles=200),
-    "mesh": dict(kind="mesh", init=low_poly()),
+    "mesh": dict(mesh=low_poly(), repair=False),
 }
 
 
@@ -111,16 +113,18 @@ def test_what_has_no_triangles_can_still_start_from_a_sphere():
 def test_budgets_are_refused_in_one_line_with_both_counts():
     with pytest.raises(MeshError, match=r"above the input's own 3000 \(1502 vertices\); ask for fewer"):
         first_guess(pear(), triangles=3001)
-    with pytest.raises(MeshError, match="budget of 3 triangles is too small"):
+    with pytest.raises(ConfigError, match="triangles: .*greater than or equal to 4, got 3"):
         first_guess(pear(), triangles=3)
     with pytest.raises(MeshError, match=r"low has 200 triangles \(102 vertices\), above the budget of 199"):
-        first_guess(pear(), kind="mesh", init=low_poly(), triangles=199)
+        first_guess(pear(), mesh=low_poly(), triangles=199)
     with pytest.raises(MeshError, match="needs one: name the file"):
-        first_guess(pear(), kind="mesh")
+        first_guess(pear(), InitialSettings(kind="mesh", mesh="low.obj"))
     with pytest.raises(MeshError, match="a budget of triangles is needed"):
-        first_guess(pear())
-    with pytest.raises(ValueError, match="kind must be one of"):
+        decimated(pear(), InitialSettings(kind="mesh", mesh="low.obj"))
+    with pytest.raises(ConfigError, match="kind: .*'decimate'.* got 'cube'"):
         first_guess(pear(), kind="cube", triangles=20)
+    with pytest.raises(ConfigError, match="trinagles: unknown key, did you mean 'triangles'"):
+        first_guess(pear(), trinagles=20)
 
 
 def test_a_mesh_that_stands_elsewhere_is_refused():
@@ -128,7 +132,7 @@ def test_a_mesh_that_stands_elsewhere_is_refused():
     move = np.eye(4)
     move[0, 3] = 5
     with pytest.raises(MeshError, match="low does not stand where pear does"):
-        first_guess(pear(), kind="mesh", init=away.transformed(move))
+        first_guess(pear(), mesh=away.transformed(move))
 
 
 def test_the_whole_budget_changes_nothing_about_the_shape():
