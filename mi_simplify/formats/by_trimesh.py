@@ -30,7 +30,7 @@ def read_by_trimesh(path: Path) -> Asset:
     import trimesh
 
     try:
-        scene = trimesh.load(path, force="scene", process=False)
+        scene: Any = trimesh.load(path, force="scene", process=False)
     except (ImportError, AttributeError) as error:
         needed = " ".join(SUFFIXES[path.suffix.lower()])
         raise AssetError(f"{path.name}: trimesh needs more packages for this format: pip install {needed}") from error
@@ -62,7 +62,7 @@ def _part(name: str, mesh: Any) -> Part:
     visual, uvs, colors, material = mesh.visual, None, None, Material(name)
     if visual.kind == "texture":
         if visual.uv is not None and len(visual.uv) == len(vertices):
-            uvs = np.asarray(visual.uv, np.float32) * np.float32([1, -1]) + np.float32([0, 1])
+            uvs = (np.asarray(visual.uv) * [1, -1] + [0, 1]).astype(np.float32)
         material = _material(name, visual.material, has_uvs=uvs is not None)
     elif visual.kind == "face":
         vertices, faces = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)

@@ -62,7 +62,7 @@ def test_a_wrong_setting_is_one_line_with_its_dotted_path(override, message):
 
 def test_several_problems_are_one_line_and_at_most_three_are_spelled_out():
     with pytest.raises(ConfigError) as caught:
-        load_config(None, [RELIC, "seed=a", "variant=b", "views.fov=c", "export.formats=d"])
+        load_config(None, [RELIC, "seed=a", "variant=b", "views.fov=c", "optimizer.spp=d"])
     message = str(caught.value)
     assert message.count("got") == 3
     assert message.endswith("; and 1 more")

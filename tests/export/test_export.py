@@ -14,7 +14,7 @@ from PIL import Image
 from pxr import Usd, UsdGeom, UsdShade, UsdValidation
 from support.paths import ROOT
 
-from mi_simplify.errors import MeshError, OutputError
+from mi_simplify.errors import ConfigError, MeshError, OutputError
 from mi_simplify.export import export_model, write_glb, write_obj
 from mi_simplify.formats.gltf.write import glb_bytes
 from mi_simplify.formats.textures import encode_textures, to_8bit
@@ -379,7 +379,7 @@ def test_export_model_writes_all_and_nothing_else(model, tmp_path):
 
 
 def test_errors_say_what_to_do(model, tmp_path):
-    with pytest.raises(OutputError, match="unknown export format 'fbx': choose from glb, obj, usd"):
+    with pytest.raises(ConfigError, match=r"unknown export format \(export.formats\) 'fbx'; one of glb, obj, usd"):
         export_model(model, tmp_path, formats=["fbx"])
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="cannot write .*file.*choose another output folder"):

@@ -112,7 +112,7 @@ def test_relative_losses_know_the_scale():
 
 
 def test_unknown_loss_is_named():
-    with pytest.raises(ConfigError, match="loss.image: unknown loss 'l3', expected one of log_l1, log_l2, l1"):
+    with pytest.raises(ConfigError, match=r"unknown loss \(loss.image\) 'l3'; one of log_l1, log_l2, l1"):
         losses.image_loss("l3")
 
 
