@@ -213,7 +213,7 @@ def reference(resolution: int, clock: Clock, n_steps: int) -> float:
     rng = np.random.default_rng(0)
 
     def render(k: int) -> None:
-        renderer.render(goniometer(settings.refresh, rng, width=resolution, height=resolution), k)
+        renderer.render(goniometer(settings.refresh, rng, width=resolution, height=resolution, irradiance=np.pi), k)
 
     return float(np.median([clock(render, k)[1] for k in range(2 + n_steps // 2)][2:]))
 

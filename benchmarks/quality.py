@@ -104,7 +104,7 @@ def as_in_the_paper(asset: ms.Asset, models: dict[str, ms.Model], picture: Path)
     from mi_simplify.scenes.views import goniometer
 
     frame = ms.Frame.around(asset.bounds)
-    views = goniometer(16, np.random.default_rng(20_26), width=512, height=512)
+    views = goniometer(16, np.random.default_rng(20_26), width=512, height=512, irradiance=np.pi)
     assets = [asset, *(model.as_asset() for model in models.values())]
     images = [ms.make_reference(frame.normalised(a), transport="direct", spp=64).render(views) for a in assets]
     sheet = np.concatenate([np.concatenate(list(displayed(image[:4])), 1) for image in images])

@@ -69,7 +69,7 @@ def workplace(finished, tmp_path, monkeypatch) -> Path:
         for block in blocks(page, "python"):
             if block.startswith(("# mushroom.py", "# mine.py")):
                 (tmp_path / block.split()[1]).write_text(block)
-    views = goniometer(12, np.random.default_rng(0), width=32, height=32)
+    views = goniometer(12, np.random.default_rng(0), width=32, height=32, irradiance=np.pi)
     write_captured("images", views.arrays(), make_reference(load_asset("statue.obj"), spp=4).render(views))
     return tmp_path
 

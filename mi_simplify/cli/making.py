@@ -160,7 +160,7 @@ def _run(
 @click.argument("lowpoly")
 @KEEP_UV
 @OUT
-@click.option("--atlas-size", type=click.IntRange(16, 8192), default=1024, show_default=True, help="Texture side.")
+@click.option("--atlas-size", type=click.IntRange(16, 8192), help="Texture side; initial.atlas_size if not given.")
 @VARIANT
 @OVERWRITE
 @QUIET

@@ -15,13 +15,13 @@ import mitsuba as mi
 from ..latent.surface import MeshTopology, Surface
 from ..latent.textures import Textures
 from ..machine.frozen import frozen
-from ..machine.meshes import MovingMesh
+from ..machine.meshes import MISS, MovingMesh
 from .camera import Cameras
 from .edge_rays import EdgeRays
 from .edge_samples import EdgeSamples
 from .edge_set import EdgeSet
 from .edges import edge_table
-from .gbuffer import MISS, Hits, kept_hits, trace, with_light
+from .gbuffer import Hits, kept_hits, trace, with_light
 from .layers import WIDTH, composite, layered_hits, peel
 from .rendered import RenderedBatch
 from .shading import hit_values, shade_hits

@@ -18,11 +18,11 @@ from ..latent.surface import MeshTopology, Surface
 from ..latent.texel_gradient import TexelGradient, TouchedBlocks
 from ..latent.textures import Textures
 from ..machine.frozen import frozen
-from ..machine.meshes import MovingMesh
+from ..machine.meshes import MISS, MovingMesh
 from ..scenes.views import Views
 from .boundary import Boundary, backward_from
 from .camera import Cameras, FilmRays, PixelRays
-from .gbuffer import MISS, kept_hits, one_a_pixel, trace, with_light
+from .gbuffer import kept_hits, one_a_pixel, trace, with_light
 from .layers import composite, composite_adjoint, composite_tangent, layered_hits, peel
 from .rendered import RenderedBatch
 from .shading import hit_values, shade_hits

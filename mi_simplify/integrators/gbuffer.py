@@ -14,13 +14,11 @@ import mitsuba as mi
 
 from ..latent.surface import Surface
 from ..machine.frozen import frozen
+from ..machine.meshes import MISS
 from .camera import FilmRays, PixelRays
 
 if TYPE_CHECKING:
     from .edge_rays import EdgeRays
-
-#: Face index of a ray that hit nothing.
-MISS = 0xFFFFFFFF
 
 
 @dataclass

@@ -14,7 +14,8 @@ import mitsuba as mi
 
 from ..latent.surface import Surface
 from ..latent.textures import Textures
-from .gbuffer import MISS, Hits
+from ..machine.meshes import MISS
+from .gbuffer import Hits
 
 #: Where the next layer begins behind a surface, as a fraction of the coordinates: a few units in the last place; and
 #: where it begins if rounding led to the same surface again.

@@ -193,7 +193,7 @@ def bake_job(
     progress: ProgressCallback = silent,
     *,
     keep_uv: bool = False,
-    atlas_size: int = 1024,
+    atlas_size: int | None = None,
     variant: str | None = None,
     overwrite: bool = False,
 ) -> dict[str, Path]:
@@ -217,7 +217,8 @@ def bake_job(
     progress(Progress("load"))
     asset, init = open_asset(reference), open_asset(lowpoly)
     progress(Progress("bake"))
-    model, _ = first_guess(asset, mesh=init, atlas_size=atlas_size, keep_uv=keep_uv, repair=False)
+    size: dict[str, Any] = {} if atlas_size is None else {"atlas_size": atlas_size}
+    model, _ = first_guess(asset, mesh=init, keep_uv=keep_uv, repair=False, **size)
     progress(Progress("export"))
     with folder.opened(), folder.staged() as stage:
         files = export_model(model, stage, extras={"generator": f"mi_simplify {__version__}"})

@@ -14,6 +14,7 @@ import numpy as np
 
 from .. import __version__
 from ..config import Config
+from ..config.schema import EvaluationSettings
 from ..errors import AssetError
 from ..machine.files import make_folder
 from ..model.asset import Asset
@@ -35,6 +36,10 @@ MAX_DEPTH = 6
 """Longest light path [edges]."""
 
 
+#: What the configuration has where nothing is said.
+_DEFAULTS = EvaluationSettings()
+
+
 @dataclass(frozen=True)
 class Judging:
     """
@@ -48,9 +53,9 @@ class Judging:
         Of views and noise, which depend on nothing else; only figures of one seed compare.
     """
 
-    n_views: int = 8
-    resolution: int = 256
-    spp: int = 64
+    n_views: int = _DEFAULTS.views
+    resolution: int = _DEFAULTS.resolution
+    spp: int = _DEFAULTS.spp
     seed: int = 0
 
     @staticmethod

@@ -11,6 +11,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+#: Face index of a ray that hit nothing.
+MISS = 0xFFFFFFFF
+
 POSITIONS, FACES, NORMALS, UVS = "vertex_positions", "faces", "vertex_normals", "vertex_texcoords"
 TANGENTS = "vertex_tangent"
 

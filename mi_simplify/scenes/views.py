@@ -10,8 +10,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..config.schema import ViewsSettings
 from ..errors import UserError
 from ..machine.upload import upload
+
+#: What the configuration has where nothing is said.
+_DEFAULTS = ViewsSettings()
 
 
 @dataclass
@@ -156,7 +160,16 @@ class Views:
 
 
 def look_at(
-    origin, target, light, *, width, height, fov=45.0, irradiance=np.pi, up=(0.0, 1.0, 0.0), frame=0.0
+    origin,
+    target,
+    light,
+    *,
+    width,
+    height,
+    fov=_DEFAULTS.fov,
+    irradiance=_DEFAULTS.light.irradiance,
+    up=(0.0, 1.0, 0.0),
+    frame=0.0,
 ) -> Views:
     """
     Views from camera, target and light positions.
@@ -229,11 +242,11 @@ def goniometer(
     width: int,
     height: int,
     center=(0.0, 0.0, 0.0),
-    distance: float = 3.5,
-    jitter: float = 0.25,
-    fov: float = 45.0,
-    light_exponent: float = 1.0,
-    irradiance: float = np.pi,
+    distance: float = _DEFAULTS.distance,
+    jitter: float = _DEFAULTS.jitter,
+    fov: float = _DEFAULTS.fov,
+    light_exponent: float = _DEFAULTS.light.exponent,
+    irradiance: float = _DEFAULTS.light.irradiance,
     light_position=None,
 ) -> Views:
     """

@@ -30,7 +30,9 @@ def test_the_image_stays():
     given = shared()
     own = with_own_normals(given)
     assert own.mesh.own_normals is None and np.abs(own.normal - given.normal).max() > 0.05
-    views = look_at([[0.4, 0.8, -3.1], [1, -1, 3]], [0.02, 0, 0.01], [[2, 1.5, -2.5]] * 2, width=64, height=48)
+    views = look_at(
+        [[0.4, 0.8, -3.1], [1, -1, 3]], [0.02, 0, 0.01], [[2, 1.5, -2.5]] * 2, width=64, height=48, irradiance=np.pi
+    )
     a, b, without = (
         Screen(m, mips="none").images(views, spp=16)[..., :3] for m in (given, own, replace(given, mesh=own.mesh))
     )

@@ -22,7 +22,7 @@ def test_the_exported_file_shows_what_the_latent_renderer_shows(tmp_path):
     positions = mi.Float(latent.topology.mesh.positions.astype(np.float32).ravel())
     renderer = DeferredRenderer(latent.topology)
     renderer.move(positions)
-    views = goniometer(4, np.random.default_rng(0), width=72, height=48)
+    views = goniometer(4, np.random.default_rng(0), width=72, height=48, irradiance=np.pi)
     frame = renderer.render(latent.evaluate(positions), latent.textures, views, spp=256, seed=dr.opaque(mi.UInt32, 1))
     image = frame.images()
     file = export_model(model, tmp_path, formats=("glb",))["glb"]

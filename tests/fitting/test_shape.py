@@ -38,7 +38,7 @@ class Grow(Identity):
 
 
 def shot(n=4, frame=0.0):
-    views = goniometer(n, np.random.default_rng(0), width=8, height=8)
+    views = goniometer(n, np.random.default_rng(0), width=8, height=8, irradiance=np.pi)
     arrays = views.arrays() | {"frame": np.full(n, frame, np.float32)}
     return type(views).from_arrays(arrays, 8, 8)
 
@@ -104,7 +104,7 @@ def test_a_batch_is_of_one_frame_and_film_size():
     def draw(n, rng, resolution):
         out = []
         for frame, size in ((0.0, 8), (1.0, 8), (1.0, 4), (2.0, 4)):
-            views = goniometer(n, rng, width=2 * size, height=size)
+            views = goniometer(n, rng, width=2 * size, height=size, irradiance=np.pi)
             out.append(type(views).from_arrays(views.arrays() | {"frame": np.full(n, frame)}, 2 * size, size))
         return out
 

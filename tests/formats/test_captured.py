@@ -39,7 +39,7 @@ def lopsided() -> Asset:
 
 
 def captured_folder(folder: Path, n: int = 12, size: int = 48, format: str = "exr", light: str = "point") -> Path:
-    views = goniometer(n, np.random.default_rng(7), width=size, height=size, distance=3.5)
+    views = goniometer(n, np.random.default_rng(7), width=size, height=size, distance=3.5, irradiance=np.pi)
     images = make_reference(lopsided(), transport="direct", spp=16).render(views)
     return write_captured(folder, views.arrays(), images, format=format, light=light)
 
@@ -121,7 +121,7 @@ def test_a_principal_point_off_the_centre_is_kept_on_the_axis():
 
 def test_images_show_their_own_views_only(folder):
     reference = ImageReference(read_captured(folder), 1.0, np.zeros(3), range(12), range(1))
-    views = goniometer(1, np.random.default_rng(0), width=16, height=16)
+    views = goniometer(1, np.random.default_rng(0), width=16, height=16, irradiance=np.pi)
     with pytest.raises(UserError, match="their own views only"):
         reference.render(views)
 
@@ -286,7 +286,7 @@ def test_a_diffuse_ball_in_an_environment_is_lit_as_by_mitsuba():
     flat = np.broadcast_to(np.float32([0, 0, 1]), model.normal.shape).copy()
     model = replace(model, specular=specular, normal=flat)
     coefficients = constant_environment((0.8, 0.9, 1)) + np.random.default_rng(0).normal(size=(16, 3)) * 0.15
-    views = goniometer(2, np.random.default_rng(1), width=32, height=32).lit_by(0.0)
+    views = goniometer(2, np.random.default_rng(1), width=32, height=32, irradiance=np.pi).lit_by(0.0)
     lit = rendered(model, views.under(upload(mi.Float, coefficients.ravel()))).images()
     reference = make_reference(model.as_asset(), transport="baked", spp=256, max_depth=2)
     assert isinstance(reference, MitsubaReference)

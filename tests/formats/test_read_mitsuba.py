@@ -157,7 +157,7 @@ def test_the_same_picture_as_mitsuba_makes_of_the_file(scene):
     merged = shape("merge", shape("rectangle", '<ref id="shared"/>', id="r"), shape("cube", scaled(0.3), RED))
     metal = '<bsdf type="roughconductor"><string name="material" value="Cu"/></bsdf>'
     ball = shape("sphere", '<point name="center" x="1" y="0" z="1"/><float name="radius" value=".5"/>', metal)
-    views = look_at([[1, 2, 4]], [0, 0, 0], [[3, 3, 3]], width=48, height=32)
+    views = look_at([[1, 2, 4]], [0, 0, 0], [[3, 3, 3]], width=48, height=32, irradiance=np.pi)
     arrays = views.arrays()
     x, y, z = arrays["origin"][0]
     sensor = f"""<integrator type="path"><integer name="max_depth" value="2"/></integrator>
@@ -244,7 +244,7 @@ def test_texture_transforms_and_procedural_textures_look_alike(scene):
     checks += "</texture>"
     for texture in (bitmap("reflectance", moved), checks):
         asset = load_asset(scene(shape("rectangle", f'<bsdf type="diffuse">{texture}</bsdf>')))
-        views = look_at([[0, 0, 4]], [0, 0, 0], [[0, 0, 4]], width=64, height=64, fov=30)
+        views = look_at([[0, 0, 4]], [0, 0, 0], [[0, 0, 4]], width=64, height=64, fov=30, irradiance=np.pi)
         own = Asset(asset.parts, asset.instances)
         theirs, ours = (make_reference(a, spp=64).render(views) for a in (asset, own))
         assert psnr(theirs, ours) > 35 and theirs[..., :3].std() > 0.1
@@ -261,7 +261,7 @@ def test_normal_maps_look_alike(scene, tmp_path):
     asset = load_asset(path)
     upright = asset.parts[0].material.normal * [1, -1, 1]  # the image lies upside down on Mitsuba's rectangle
     assert np.allclose(upright, n, atol=0.01)
-    views = look_at([[0, 0, 4]], [0, 0, 0], [[3, 2, 3]], width=64, height=64, fov=28)
+    views = look_at([[0, 0, 4]], [0, 0, 0], [[3, 2, 3]], width=64, height=64, fov=28, irradiance=np.pi)
     flat = replace(asset.parts[0], material=replace(asset.parts[0].material, normal=None))
     theirs, ours, without = (
         make_reference(a, spp=64).render(views)
@@ -276,7 +276,7 @@ def test_masks_keep_their_coverage(scene, transport):
     asset = load_asset(scene(shape("rectangle", bsdf)))
     material = asset.parts[0].material
     assert material.alpha_mode == "BLEND" and material.base_color[0, 0, 3] == pytest.approx(0.3)
-    views = look_at([[0, 0, 4]], [0, 0, 0], [[0, 0, 4]], width=8, height=8, fov=10)
+    views = look_at([[0, 0, 4]], [0, 0, 0], [[0, 0, 4]], width=8, height=8, fov=10, irradiance=np.pi)
     image = make_reference(asset, transport=transport, spp=512, max_depth=3).render(views)[0]
     assert image[..., 3].mean() == pytest.approx(0.3, abs=0.01)
     assert np.allclose(image[..., :3].mean((0, 1)), [0.24, 0.06, 0.03], rtol=0.05)
@@ -287,7 +287,7 @@ def test_masks_let_light_through_to_what_they_cover(scene):
     lid = f'<bsdf type="mask"><float name="opacity" value="0"/>{RED}</bsdf>'
     lid = shape("rectangle", '<transform name="to_world"><translate z="1"/></transform>', lid)
     path = scene(shape("disk", scaled(3), RED), lid)
-    views = look_at([[0, 0, 4]], [0, 0, 0], [[0, 0, 4]], width=8, height=8, fov=10)
+    views = look_at([[0, 0, 4]], [0, 0, 0], [[0, 0, 4]], width=8, height=8, fov=10, irradiance=np.pi)
     image = make_reference(load_asset(path), transport="baked", spp=16, max_depth=8).render(views)[0]
     assert np.allclose(image[3:5, 3:5], [0.8, 0.2, 0.1, 1], rtol=0.02)
 
@@ -341,7 +341,7 @@ def test_a_medium_without_surface_is_in_the_reference_only(scene):
     path = scene(shape("rectangle", RED), shape("sphere", '<point name="center" x="2" y="0" z="0"/>', medium, id="fog"))
     asset = load_asset(path)
     assert len(asset.parts) == 1 and any("'fog'" in n and "only the reference shows it" in n for n in asset.notes)
-    views = look_at([[2, 0, 8]], [2, 0, 0], [[2, 0, 8]], width=9, height=9, fov=20)
+    views = look_at([[2, 0, 8]], [2, 0, 0], [[2, 0, 8]], width=9, height=9, fov=20, irradiance=np.pi)
     image = make_reference(asset, transport="baked", spp=64, max_depth=8).render(views)[0]
     assert image[4, 4, 0] > 0.05
 
@@ -374,7 +374,7 @@ def test_an_obj_in_a_scene_gives_the_images_of_the_obj(scene, tmp_path, transpor
     assert np.allclose(from_xml.bounds, from_obj.bounds, atol=1e-4) and frame.scale < 0.2
     a, b = (frame.normalised(asset) for asset in (from_xml, from_obj))
     eyes = [[1.5, 1.2, 2.4], [-2, 0.4, -2.2]]
-    views = look_at(eyes, [0, 0, 0], [[2, 2, 2], [-3, 0, -1]], width=72, height=40, fov=50)
+    views = look_at(eyes, [0, 0, 0], [[2, 2, 2], [-3, 0, -1]], width=72, height=40, fov=50, irradiance=np.pi)
     theirs, ours = (make_reference(asset, transport=transport, spp=64).render(views, seed=3) for asset in (a, b))
     assert theirs.shape == (2, 40, 72, 4) and ours[..., :3].max() > 0.5
     assert psnr(theirs, ours) > 60

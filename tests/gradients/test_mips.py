@@ -85,7 +85,7 @@ def test_level_is_that_of_a_pixel():
     fov = 2 * np.degrees(np.arctan(1 / 4))
     for angle, expected in ((0, 2), (60, 3)):
         camera = [4 * np.sin(np.radians(angle)), 0, 4 * np.cos(np.radians(angle))]
-        views = look_at(camera, [0, 0, 0], [0, 0, 4], width=64, height=64, fov=fov)
+        views = look_at(camera, [0, 0, 0], [0, 0, 4], width=64, height=64, fov=fov, irradiance=np.pi)
         surface = renderer.topology.surface(positions)
         frame = renderer.render(surface, textures, views, spp=1, seed=dr.opaque(mi.UInt32, 0))
         red, _, blue, _ = frame.image.numpy().reshape(4, 64, 64)[:, 31, 31]

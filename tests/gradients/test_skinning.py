@@ -42,7 +42,16 @@ def character() -> Model:
 
 
 def shot(size: int = 8) -> Views:
-    return look_at([1.6, 0.6, 1.2], [0.1, 0.5, 0], [1.5, 2, 1.5], width=size, height=size, fov=50, frame=float(FRAME))
+    return look_at(
+        [1.6, 0.6, 1.2],
+        [0.1, 0.5, 0],
+        [1.5, 2, 1.5],
+        width=size,
+        height=size,
+        fov=50,
+        frame=float(FRAME),
+        irradiance=np.pi,
+    )
 
 
 def noise_of(values: list[float]) -> float:

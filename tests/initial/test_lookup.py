@@ -30,13 +30,14 @@ def low(uvs=QUAD_UV, reach=1.0):
 
 def look(low_poly, *parts, size=4):
     """Points, hits, and the 14 numbers of every texel, shape (size, size, 14)."""
-    from mi_simplify.initial.bake.lookup import NO_FACE, Detail
+    from mi_simplify.initial.bake.lookup import Detail
+    from mi_simplify.machine.meshes import MISS
 
     detail = Detail(soup_of(*parts))
     points = low_poly.points(size, (0.5, 0.5))
     hits = detail.search(points)
     face = hits.face.numpy().reshape(size, size)
-    hits.face = dr.select(hits.face == NO_FACE, 0, hits.face)
+    hits.face = dr.select(hits.face == MISS, 0, hits.face)
     values = np.stack([x.numpy() for x in detail.shade(points, hits)], 1).reshape(size, size, 14)
     return face, values
 
@@ -89,10 +90,10 @@ def test_of_the_surfaces_that_face_alike_the_closest_is_seen():
 
 
 def test_nothing_within_reach_is_no_face():
-    from mi_simplify.initial.bake.lookup import NO_FACE
+    from mi_simplify.initial.bake.lookup import MISS
 
     face, _ = look(low(reach=0.1), quad(0.2))
-    assert (face == NO_FACE).all()
+    assert (face == MISS).all()
 
 
 def test_material_numbers_are_those_of_the_file():

@@ -27,7 +27,7 @@ def model() -> Model:
 
 
 def test_both_renderers_show_the_same_ambient_light(model):
-    views = goniometer(2, np.random.default_rng(1), width=32, height=32)
+    views = goniometer(2, np.random.default_rng(1), width=32, height=32, irradiance=np.pi)
     lit = rendered(model, views.under(upload(mi.Float, AMBIENT.ravel()))).images()
     plain = make_reference(model.as_asset(), transport="direct", spp=64).render(views)
     ambient = make_reference(model.as_asset(), transport="direct", spp=64, ambient=AMBIENT).render(views)

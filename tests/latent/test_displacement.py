@@ -176,7 +176,7 @@ def test_views_that_name_no_tessellation_show_the_finest():
     start = model(2, subdivisions=2)
     assert start.displacement is not None
     several = replace(start, displacement=replace(start.displacement, fitted=(0, 2)))
-    views = look_at([[0.4, 0.8, -3.1]], [0.02, 0, 0.01], [[2, 1.5, -2.5]], width=32, height=32)
+    views = look_at([[0.4, 0.8, -3.1]], [0.02, 0, 0.01], [[2, 1.5, -2.5]], width=32, height=32, irradiance=np.pi)
     finest, coarsest, shown = (
         Screen(m, mips="none").images(views, spp=4) for m in (tessellated(several), tessellated(several, 0), several)
     )
@@ -186,7 +186,9 @@ def test_views_that_name_no_tessellation_show_the_finest():
 
 def test_a_fit_for_several_tessellations_draws_views_of_each():
     displacement = Displacement(np.zeros((4, 4), np.float32), 3, (1, 3))
-    draw = tessellating(lambda n, rng, size: [goniometer(n, rng, width=size, height=size)], displacement, 2)
+    draw = tessellating(
+        lambda n, rng, size: [goniometer(n, rng, width=size, height=size, irradiance=np.pi)], displacement, 2
+    )
     parts = draw(8, np.random.default_rng(0), 16)
     assert sorted((int(v.subdivisions.numpy()[0]), len(v)) for v in parts) == [(1, 4), (3, 4)]
     assert all(np.ptp(v.subdivisions.numpy()) == 0 for v in parts)

@@ -29,7 +29,7 @@ def model(seed=0) -> Model:
 
 
 def views(size):
-    return look_at([[0, 0.5, 4]], [0, 0, 0], [[1, 2, 4]], width=size, height=size)
+    return look_at([[0, 0.5, 4]], [0, 0, 0], [[1, 2, 4]], width=size, height=size, irradiance=np.pi)
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def renderer(tmp_path) -> str:
 
 
 def test_a_program_renders_the_views_that_it_is_given(renderer):
-    views = goniometer(2, np.random.default_rng(3), width=40, height=32, distance=3.5)
+    views = goniometer(2, np.random.default_rng(3), width=40, height=32, distance=3.5, irradiance=np.pi)
     images = CommandReference(renderer, "ball").render(views)
     positions, faces = sphere(5000)
     material = Material(specular=np.float32([[[1, 1, 0]]]))  # gamma 1: no specular lobe at all but its edge
@@ -121,14 +121,14 @@ def test_a_program_renders_the_views_that_it_is_given(renderer):
 )  # fmt: skip
 def test_a_program_that_fails_is_one_clear_line(tmp_path, script, message):
     (tmp_path / "bad.py").write_text(script)
-    views = look_at((0, 0, 3), (0, 0, 0), (0, 0, 3), width=16, height=16)
+    views = look_at((0, 0, 3), (0, 0, 0), (0, 0, 3), width=16, height=16, irradiance=np.pi)
     with pytest.raises(UserError, match=message) as caught:
         CommandReference(f"{sys.executable} {tmp_path / 'bad.py'}", "x").render(views)
     assert "\n" not in str(caught.value)
 
 
 def test_a_program_that_is_not_there_is_one_clear_line():
-    views = look_at((0, 0, 3), (0, 0, 0), (0, 0, 3), width=16, height=16)
+    views = look_at((0, 0, 3), (0, 0, 0), (0, 0, 3), width=16, height=16, irradiance=np.pi)
     with pytest.raises(UserError, match="'no-such-program -x' cannot be started"):
         CommandReference("no-such-program -x", "x").render(views)
 

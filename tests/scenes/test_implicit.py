@@ -116,7 +116,7 @@ def test_a_traced_ball_is_the_ball():
     positions, faces = sphere(20_000)
     material = Material(base_color=np.float32([[[0.8, 0.1, 0.1, 1]]]), specular=np.float32([[[0, 0.4, 0]]]))
     part = Part(0.8 * positions, faces, positions.astype(np.float32), material=material)
-    views = goniometer(3, np.random.default_rng(5), width=48, height=36, distance=3.0)
+    views = goniometer(3, np.random.default_rng(5), width=48, height=36, distance=3.0, irradiance=np.pi)
     mesh = make_reference(Asset((part,), (Instance(0),)), transport="direct", spp=256).render(views)
     traced = SphereTraced(Implicit(ball, red), spp=256).render(views)
     assert np.abs(traced[..., 3] - mesh[..., 3]).mean() < 0.004
@@ -128,15 +128,15 @@ def test_a_traced_ball_is_the_ball():
 
 
 def test_ambient_light_adds_its_colour_times_the_base_colour():
-    views = look_at((0, 0, 3), (0, 0, 0), (0, 0, 3), width=16, height=16, fov=20.0)
+    views = look_at((0, 0, 3), (0, 0, 0), (0, 0, 3), width=16, height=16, fov=20.0, irradiance=np.pi)
     dark, lit = (SphereTraced(Implicit(ball, red, ambient=a)).render(views)[0] for a in ((0, 0, 0), (0.5, 0.5, 1)))
     np.testing.assert_allclose((lit - dark)[8, 8], [0.4, 0.05, 0.1, 0], atol=1e-4)
 
 
 def test_a_shadow_falls_where_the_light_is_hidden():
     f = lambda p: sdf.union(sdf.box(p, (1, 0.1, 1), (0, -0.5, 0)), sdf.sphere(p, 0.3, (0, 0.3, 0)))  # noqa: E731
-    views = look_at((0, 0.2, 5), (0, -0.4, 0.9), (0, 6, 0), width=64, height=64, fov=40.0)
-    top = look_at((3, 4, 3), (0, -0.4, 0), (0, 6, 0), width=64, height=64, fov=40.0)
+    views = look_at((0, 0.2, 5), (0, -0.4, 0.9), (0, 6, 0), width=64, height=64, fov=40.0, irradiance=np.pi)
+    top = look_at((3, 4, 3), (0, -0.4, 0), (0, 6, 0), width=64, height=64, fov=40.0, irradiance=np.pi)
     free, dark = (SphereTraced(Implicit(f), spp=16, shadows=s).render(top)[0] for s in (False, True))
     assert np.array_equal(free[..., 3], dark[..., 3])
     shaded = (free[..., 0] > 0.3) & (dark[..., 0] < 0.02)
@@ -152,7 +152,7 @@ def test_overestimated_distances_are_traced_all_the_same():
 
 
 def test_a_camera_inside_is_told():
-    views = look_at((0, 0, 0.1), (0, 0, 1), (0, 0, 3), width=16, height=16)
+    views = look_at((0, 0, 0.1), (0, 0, 1), (0, 0, 3), width=16, height=16, irradiance=np.pi)
     with pytest.raises(AssetError, match=r"a camera at \(0, 0, 0.1\) is inside"):
         SphereTraced(Implicit(ball)).render(views)
 
@@ -164,7 +164,7 @@ def test_python_conditions_in_a_distance_are_told():
         return ball(p)
 
     surface = Implicit(branching, name="thing")
-    views = look_at((0, 0, 3), (0, 0, 0), (0, 0, 3), width=16, height=16)
+    views = look_at((0, 0, 3), (0, 0, 0), (0, 0, 3), width=16, height=16, irradiance=np.pi)
     with pytest.raises(AssetError, match="thing: .*cannot be traced"):
         SphereTraced(surface).render(views)
 

@@ -34,7 +34,7 @@ def square(z=0.0, half=1.0, center=(0, 0), **kwargs):
 def from_above(width=16, height=16, fov=40.0, distance=4.0, light=None):
     """Looking down -z, up the image is +y, the light at the camera by default."""
     eye = [0, 0, distance]
-    return look_at(eye, [0, 0, 0], light or eye, width=width, height=height, fov=fov)
+    return look_at(eye, [0, 0, 0], light or eye, width=width, height=height, fov=fov, irradiance=np.pi)
 
 
 def film_points(width, height, fov, distance, per_pixel=8):
@@ -98,7 +98,7 @@ def test_film_is_not_transposed_nor_flipped(width, height):
     spots = {(0.5, 0.2): (1, 0, 0), (-0.4, -0.3): (0, 1, 0), (-0.3, 0.35): (0, 0, 1)}
     parts = [square(half=0.06, center=c, color=color) for c, color in spots.items()]
     eyes, fov = [[0, 0, 3], [0.5, 0.3, 2.9]], 70 if width > height else 32
-    views = look_at(eyes, [0, 0, 0], [0, 0, 3], width=width, height=height, fov=fov, up=[0.2, 1, 0])
+    views = look_at(eyes, [0, 0, 0], [0, 0, 3], width=width, height=height, fov=fov, up=[0.2, 1, 0], irradiance=np.pi)
     images = make_reference(asset(*parts), spp=64).render(views)
     y, x = np.mgrid[:height, :width] + 0.5
     for k in range(2):
@@ -198,10 +198,10 @@ def test_film_size_may_change_between_calls():
 def test_no_kernel_is_compiled_for_further_views():
     reference = make_reference(asset(square(half=0.7)), transport="direct", spp=2)
     rng = np.random.default_rng(0)
-    reference.render(goniometer(2, rng, width=16, height=16), seed=1)
+    reference.render(goniometer(2, rng, width=16, height=16, irradiance=np.pi), seed=1)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         dr.kernel_history_clear()
-        reference.render(goniometer(3, rng, width=16, height=16, fov=50), seed=2)
+        reference.render(goniometer(3, rng, width=16, height=16, fov=50, irradiance=np.pi), seed=2)
         history = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
     assert len(history) >= 3 and len({k["hash"] for k in history}) < len(history)
     assert all(k["cache_hit"] for k in history)

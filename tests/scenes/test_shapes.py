@@ -27,7 +27,7 @@ def lambert(color, alpha=1.0, **kwargs):
 
 
 def picture(asset, size=16, eye=(0, 0, 8), fov=16.0, spp=16, **kwargs):
-    views = look_at(list(eye), [0, 0, 0], list(eye), width=size, height=size, fov=fov)
+    views = look_at(list(eye), [0, 0, 0], list(eye), width=size, height=size, fov=fov, irradiance=np.pi)
     return make_reference(asset, spp=spp, **kwargs).render(views, seed=3)[0]
 
 

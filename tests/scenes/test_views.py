@@ -55,7 +55,9 @@ def test_goniometer_rolls_and_aims_at_random():
     assert 0.9 * jitter < np.linalg.norm(miss, axis=1).max() < jitter * 3**0.5
     assert np.allclose(np.cov(miss.T) / (jitter**2 * 2 / 9), np.eye(3), atol=0.1)
     assert np.linalg.norm(draw(jitter=0.0)["forward"] + unit(draw(jitter=0.0)["origin"]), axis=1).max() < 1e-6
-    assert np.allclose(goniometer(3, np.random.default_rng(0), width=8, height=8, fov=60).fov, 60, atol=1e-4)
+    assert np.allclose(
+        goniometer(3, np.random.default_rng(0), width=8, height=8, fov=60, irradiance=np.pi).fov, 60, atol=1e-4
+    )
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 8.0])
@@ -127,7 +129,7 @@ def test_look_at_known_axes():
 @pytest.mark.parametrize("origin", [[0, 5, 0], [0, -5, 0], [5, 0, 0], [0, 0, 5], [0, 0, -5]])
 @pytest.mark.parametrize("up", [[0, 1, 0], [0, 0, 1], [1, 0, 0], [0, 0, -2]])
 def test_look_at_has_axes_wherever_up_points(origin, up):
-    a = look_at(origin, [0, 0, 0], origin, width=8, height=8, up=up).arrays()
+    a = look_at(origin, [0, 0, 0], origin, width=8, height=8, up=up, irradiance=np.pi).arrays()
     assert_orthonormal(a)
     if abs(np.dot(origin, up)) < 1e-6:
         assert np.allclose(a["up"][0], unit(np.float64([up])))
@@ -135,11 +137,11 @@ def test_look_at_has_axes_wherever_up_points(origin, up):
 
 def test_look_at_refuses_a_camera_at_its_target():
     with pytest.raises(UserError, match="camera and target are the same point"):
-        look_at([[1, 2, 3], [0, 0, 0]], [0, 0, 0], [0, 1, 0], width=8, height=8)
+        look_at([[1, 2, 3], [0, 0, 0]], [0, 0, 0], [0, 1, 0], width=8, height=8, irradiance=np.pi)
 
 
 def test_arrays_and_back():
-    views = goniometer(5, np.random.default_rng(3), width=10, height=6)
+    views = goniometer(5, np.random.default_rng(3), width=10, height=6, irradiance=np.pi)
     views.frame = mi.Float([0, 1, 2, 3, 4])
     a = views.arrays()
     again = Views.from_arrays(a, 10, 6)
@@ -168,7 +170,7 @@ def project(views, points):
 
 @pytest.mark.parametrize(("width", "height"), [(48, 48), (64, 20), (20, 64)])
 def test_rays_are_those_of_mitsubas_sensor(width, height):
-    views = goniometer(3, np.random.default_rng(4), width=width, height=height, fov=70)
+    views = goniometer(3, np.random.default_rng(4), width=width, height=height, fov=70, irradiance=np.pi)
     cameras, rng = Cameras.of(views), np.random.default_rng(5)
     for k in range(3):
         sensor = mi.load_dict(view_sensor(views.arrays(), k, width, height))
@@ -193,7 +195,7 @@ def test_rays_are_those_of_mitsubas_sensor(width, height):
 
 def test_projection_of_known_points():
     """x to the right, y down, in pixels; the film is twice as wide as high."""
-    views = look_at([0, 0, 2], [0, 0, 0], [0, 0, 2], width=40, height=20, fov=90)
+    views = look_at([0, 0, 2], [0, 0, 0], [0, 0, 2], width=40, height=20, fov=90, irradiance=np.pi)
     film = project(views, [[0, 0, 0], [2, 0, 0], [0, 1, 0], [-1, -0.5, 0], [0, 0, 3]])[0]
     assert np.allclose(film[:4], [[20, 10, 2], [40, 10, 2], [20, 0, 2], [10, 15, 2]], atol=1e-4)
     assert film[4, 2] < 0
@@ -201,7 +203,7 @@ def test_projection_of_known_points():
 
 def test_cameras_are_differentiable():
     """A camera that moves right by dx moves a point left by dx·W / (2 z tan); moving back draws it to the middle."""
-    views = look_at([0, 0, 2], [0, 0, 0], [0, 0, 2], width=40, height=20, fov=90)
+    views = look_at([0, 0, 2], [0, 0, 0], [0, 0, 2], width=40, height=20, fov=90, irradiance=np.pi)
     dr.enable_grad(views.origin)
     film = Cameras.of(views).project(mi.UInt32(0), mi.Point3f(0.3, 0.2, 0))
     dr.backward(film.x)
@@ -209,7 +211,7 @@ def test_cameras_are_differentiable():
 
 
 def test_film_samples_lie_evenly_in_their_pixels():
-    cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=6, height=4))
+    cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=6, height=4, irradiance=np.pi))
     pixel, view, x, y = film_samples(cameras, 16, dr.opaque(mi.UInt32, 3))
     pixel, view, x, y = (np.array(c) for c in (pixel, view, x, y))
     assert np.array_equal(pixel, np.repeat(pixel[::16], 16)) and np.array_equal(np.sort(pixel[::16]), np.arange(48))
@@ -226,14 +228,14 @@ def test_film_samples_lie_evenly_in_their_pixels():
 
 
 def test_sixteen_film_samples_side_by_side_are_one_tile():
-    cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=12, height=8))
+    cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=12, height=8, irradiance=np.pi))
     _, view, x, y = (np.array(c).reshape(-1, 16) for c in film_samples(cameras, 1, dr.opaque(mi.UInt32, 3)))
     for c in (np.floor(x), np.floor(y) + 8 * view):
         assert np.all(np.ptp(c, axis=1) == 3) and np.all(c.min(axis=1) % 4 == 0)
 
 
 def test_some_film_samples_are_those_of_all():
-    cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=12, height=8))
+    cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=12, height=8, irradiance=np.pi))
     for spp in (1, 3):
         index = mi.UInt32(5, 17, 90, 191)
         every, some = (film_samples(cameras, spp, dr.opaque(mi.UInt32, 3), i) for i in (None, index))
@@ -242,12 +244,12 @@ def test_some_film_samples_are_those_of_all():
 
 
 def test_films_of_any_height_are_covered():
-    cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=5, height=7))
+    cameras = Cameras.of(goniometer(2, np.random.default_rng(6), width=5, height=7, irradiance=np.pi))
     assert np.array_equal(np.sort(np.array(film_samples(cameras, 1, dr.opaque(mi.UInt32, 3))[0])), np.arange(70))
 
 
 def test_film_samples_of_neighbouring_pixels_are_independent():
-    cameras = Cameras.of(goniometer(1, np.random.default_rng(6), width=256, height=256))
+    cameras = Cameras.of(goniometer(1, np.random.default_rng(6), width=256, height=256, irradiance=np.pi))
     pixel, _, x, y = film_samples(cameras, 1, dr.opaque(mi.UInt32, 3))
     order = np.argsort(np.array(pixel))
     for jitter in (np.array(x)[order] % 1, np.array(y)[order] % 1):

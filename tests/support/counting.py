@@ -21,4 +21,4 @@ class Counting:
 
 
 def draw(n, rng, resolution):
-    return [goniometer(n, rng, width=resolution, height=resolution)]
+    return [goniometer(n, rng, width=resolution, height=resolution, irradiance=np.pi)]

@@ -74,8 +74,9 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
         The UVs of ``mesh`` cover no texel.
     """
     ensure_variant()
+    from ...machine.meshes import MISS
     from .decals import seen
-    from .lookup import NO_FACE, Detail, LowPoly  # their classes need a variant
+    from .lookup import Detail, LowPoly  # their classes need a variant
 
     soup, _ = clean(merge(asset))
     closest = ClosestPoints(soup.vertices, soup.faces)
@@ -88,14 +89,14 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
         points = low.points(size, ((k % samples + 0.5) / samples, (k // samples + 0.5) / samples))
         hits = detail.search(points)
         dr.eval(points, hits)
-        lost = dr.compress(points.active & (hits.face == NO_FACE))
+        lost = dr.compress(points.active & (hits.face == MISS))
         if len(lost):
             n_missed += len(lost)
             p, n = (dr.gather(type(x), x, lost).numpy().T for x in (points.p, points.ray))
             found = closest.query(p, n, candidates=4)
             dr.scatter(hits.face, upload(mi.UInt32, found.face), lost)
             dr.scatter(hits.b, upload(mi.Point2f, found.barycentric[:, 1:]), lost)
-        hits.face = dr.select(hits.face == NO_FACE, 0, hits.face)
+        hits.face = dr.select(hits.face == MISS, 0, hits.face)
         dr.eval(hits)
         values = [*seen(detail, points, hits), dr.select(points.active, mi.Float(1), 0)]
         total = [a + b for a, b in zip(total, values, strict=True)]

@@ -7,7 +7,8 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from .lookup import NO_FACE, Detail, Hits, Points
+from ...machine.meshes import MISS
+from .lookup import Detail, Points, SurfacePoints
 
 #: How far from a surface a layer still lies on it [diagonals of the asset]; modellers lift decals by half of it.
 NEAR = 2e-3
@@ -16,7 +17,7 @@ NEAR = 2e-3
 LAYERS = 3
 
 
-def seen(detail: Detail, s: Points, hits: Hits) -> list[mi.Float]:
+def seen(detail: Detail, s: Points, hits: SurfacePoints) -> list[mi.Float]:
     """
     As :meth:`.lookup.Detail.shade`, but where materials blend (glTF's BLEND) of all the layers that lie together.
 
@@ -46,9 +47,9 @@ def seen(detail: Detail, s: Points, hits: Hits) -> list[mi.Float]:
     return [*sums[:3], *own[3:6], opacity, *means, own[13]]
 
 
-def _visible(detail: Detail, s: Points, hits: Hits) -> list[mi.Float]:
+def _visible(detail: Detail, s: Points, hits: SurfacePoints) -> list[mi.Float]:
     """What a layer shows, nothing where there is none."""
-    found = hits.face != NO_FACE
+    found = hits.face != MISS
     hits.face = dr.select(found, hits.face, 0)
     return [dr.select(found, x, 0) for x in detail.shade(s, hits)]
 
@@ -66,7 +67,7 @@ def _behind(sums: list[mi.Float], left: mi.Float, layer: list[mi.Float]) -> tupl
 @dr.syntax
 def _next(detail: Detail, s: Points, start: mi.Point3f, t: mi.Float, end: mi.Float, blended_only: bool):
     """The next layer from ``start`` inwards between ``t`` and ``end``, and how far it is."""
-    face, b = mi.UInt32(NO_FACE), mi.Point2f(0)
+    face, b = mi.UInt32(MISS), mi.Point2f(0)
     t, n = mi.Float(t), mi.Vector3f(s.ray)
     active = s.active & (t < end)
     while active:
@@ -77,8 +78,8 @@ def _next(detail: Detail, s: Points, start: mi.Point3f, t: mi.Float, end: mi.Flo
         t = dr.select(active, t + pi.t + detail.step, end)
         alike = active & (dr.dot(detail.face_normal(pi.prim_index, active), n) > 0)
         if dr.hint(blended_only, mode="scalar"):
-            alike &= detail.blends(Hits(dr.select(active, pi.prim_index, 0), pi.prim_uv))
+            alike &= detail.blends(SurfacePoints(dr.select(active, pi.prim_index, 0), pi.prim_uv))
         face = dr.select(alike, pi.prim_index, face)
         b = dr.select(alike, pi.prim_uv, b)
         active &= ~alike & (t < end)
-    return Hits(face, b), t
+    return SurfacePoints(face, b), t

@@ -10,14 +10,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...machine.meshes import make_mesh
+from ...machine.meshes import MISS, make_mesh
 from ...machine.upload import upload
 from ...model.mesh import Mesh
 from ...model.tangents import split_mirrored, vertex_tangents
 from ...model.topology import vertex_normals, weld
 from ..soup import Soup
 
-NO_FACE = 0xFFFFFFFF
 LOWEST = 0.05
 """Least z of a baked normal: what turns away from the low-poly surface is laid almost flat onto it."""
 
@@ -51,9 +50,9 @@ class Points:
 
 
 @dataclass
-class Hits:
+class SurfacePoints:
     """
-    Points on the reference: triangle (``NO_FACE`` where there is none) and weights of its second and third corner.
+    Points on the reference: triangle (``MISS`` where there is none) and weights of its second and third corner.
     """
 
     face: mi.UInt32
@@ -194,18 +193,18 @@ class Detail:
         self.blended = mi.Bool([m.alpha_mode == "BLEND" for m in soup.materials])
         self.cutoff = mi.Float([m.alpha_cutoff if m.alpha_mode == "MASK" else -1.0 for m in soup.materials])
 
-    def search(self, s: Points) -> Hits:
+    def search(self, s: Points) -> SurfacePoints:
         """
         From outside inwards along the smooth normal: of the surfaces that face alike the one closest to the point.
         """
         return _march(self.scene, self.faces, self.packets, self.step, s)
 
-    def position(self, hits: Hits) -> mi.Point3f:
+    def position(self, hits: SurfacePoints) -> mi.Point3f:
         """Where hits are; every face must exist."""
         corners = dr.gather(mi.Vector3u, self.faces, hits.face)
         return mi.Point3f(_blend(self.packets, 4, corners, hits.b, True)[0].xyz)
 
-    def blends(self, hits: Hits) -> mi.Bool:
+    def blends(self, hits: SurfacePoints) -> mi.Bool:
         """Whether the material of hits blends; every face must exist."""
         return dr.gather(mi.Bool, self.blended, dr.gather(mi.UInt32, self.material, hits.face))
 
@@ -213,7 +212,7 @@ class Detail:
         """Unnormalised geometric normal of faces."""
         return _face_normal(self.packets, dr.gather(mi.Vector3u, self.faces, face, active), active)
 
-    def shade(self, s: Points, hits: Hits) -> list[mi.Float]:
+    def shade(self, s: Points, hits: SurfacePoints) -> list[mi.Float]:
         """
         What is seen at the hits, zero where a point is not active.
 
@@ -258,8 +257,8 @@ def _face_normal(packets: mi.Float, corners: mi.Vector3u, active) -> mi.Vector3f
 
 
 @dr.syntax
-def _march(scene: mi.Scene, faces: mi.UInt32, packets: mi.Float, step: mi.Float, s: Points) -> Hits:
-    face, b = mi.UInt32(NO_FACE), mi.Point2f(0)
+def _march(scene: mi.Scene, faces: mi.UInt32, packets: mi.Float, step: mi.Float, s: Points) -> SurfacePoints:
+    face, b = mi.UInt32(MISS), mi.Point2f(0)
     best = mi.Float(dr.inf)
     t = mi.Float(0)  # way from the outer end
     active = mi.Bool(s.active)
@@ -279,4 +278,4 @@ def _march(scene: mi.Scene, faces: mi.UInt32, packets: mi.Float, step: mi.Float,
         best = dr.select(better, off, best)
         t += step
         active &= (t - reach < best) & (t < 2 * reach)  # all further hits lie deeper
-    return Hits(face, b)
+    return SurfacePoints(face, b)

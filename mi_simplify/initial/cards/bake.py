@@ -10,7 +10,7 @@ import numpy as np
 
 from ...machine.meshes import make_mesh
 from ...machine.upload import upload
-from ..bake.lookup import Detail, Hits, Points
+from ..bake.lookup import Detail, Points, SurfacePoints
 from ..soup import Soup
 from ..unwrap.atlas import dilate
 from .clusters import Clusters
@@ -86,7 +86,7 @@ def _look(scene, detail, face_of, card_of, frames, x, y, side: int, away: float)
         t, b, m = (dr.gather(mi.Vector4f, frames, card * 3 + k, active).xyz for k in range(3))
         zero = mi.Float(0)
         at = Points(active, mi.Point3f(0), mi.Vector3f(m), mi.Vector3f(t), mi.Float(1), zero, mi.Vector3f(m))
-        values = detail.shade(at, Hits(face, dr.select(active, pi.prim_uv, 0)))
+        values = detail.shade(at, SurfacePoints(face, dr.select(active, pi.prim_uv, 0)))
         opacity = values[6]
         weight = through * opacity
         shown = [mi.Float(1), *values[3:6], *values[7:13]]

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ...config import InitialSettings
 from ...errors import MeshError
 from ...model.asset import Asset
 from ...model.mesh import Mesh
@@ -22,16 +23,19 @@ from ..unwrap.atlas import overlap_fraction
 from ..unwrap.charting import check, unwrap
 from .repair import repair
 
+#: What the configuration has where nothing is said.
+_DEFAULTS = InitialSettings()
+
 
 def keep_mesh(
     init: Asset,
     *,
     reference: ClosestPoints | None = None,
     keep_uv: bool = False,
-    atlas_size: int = 1024,
-    padding: int = 4,
+    atlas_size: int = _DEFAULTS.atlas_size,
+    padding: int = _DEFAULTS.padding,
     time_limit: float = 60.0,
-    crease_angle: float = 20.0,
+    crease_angle: float = _DEFAULTS.crease_angle,
 ) -> tuple[Mesh, list[str]]:
     """
     A low-poly mesh, cleaned and perhaps repaired, with its own UVs if they can be baked to and new ones if not.

@@ -9,6 +9,7 @@ import logging
 import mitsuba as mi
 import numpy as np
 
+from ...config.schema import ReferenceSettings
 from ...errors import AssetError, UserError
 from ...formats.mitsuba.file import Node, SceneFile
 from ...formats.mitsuba.read import SceneAsset, is_emitting
@@ -19,6 +20,9 @@ from .mitsuba import MitsubaReference
 from .reference import FramedReference, Reference
 
 log = logging.getLogger("mi_simplify")
+
+#: What the configuration has where nothing is said.
+_DEFAULTS = ReferenceSettings()
 
 #: What the reference images contain, see docs/how-it-works.md.
 TRANSPORTS = ("direct", "baked", "matched")
@@ -40,8 +44,8 @@ def make_reference(
     asset: Asset,
     *,
     transport: str = "direct",
-    spp: int = 32,
-    max_depth: int = 6,
+    spp: int = _DEFAULTS.spp,
+    max_depth: int = _DEFAULTS.max_depth,
     sky: float = 0.0,
     environment: str | None = None,
     lights: bool = False,
@@ -89,7 +93,12 @@ def make_reference(
 
 
 def scene_reference(
-    scene: str | SceneFile, *, transport: str = "baked", spp: int = 32, max_depth: int = 6, lights: bool = False
+    scene: str | SceneFile,
+    *,
+    transport: str = "baked",
+    spp: int = _DEFAULTS.spp,
+    max_depth: int = _DEFAULTS.max_depth,
+    lights: bool = False,
 ) -> MitsubaReference:
     """
     The shapes of a Mitsuba XML scene as a reference, in its own units; its sensors and integrator stay out.
