@@ -39,6 +39,11 @@ class InitialSettings(Section):
         description="Mend a damaged `mesh` by the asset before it is fitted: pieces that came off, stray vertices, "
         "lost volume; only where `vertices` are fitted.",
     )
+    keep_hidden: bool = Field(
+        False,
+        description="Decimation keeps parts that cannot be seen from outside; else they go first. Always kept where the "
+        "asset has a skeleton.",
+    )
     atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
     crease_angle: float = Field(
         20.0,

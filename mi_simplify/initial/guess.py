@@ -24,7 +24,6 @@ from .cards.cards import cards as card_model
 from .cards.cards import is_aggregate
 from .closest import ClosestPoints
 from .reduce.cleanup import clean
-from .reduce.decimate import decimate
 from .repair.kept import keep_mesh
 from .soup import merge
 from .sphere import sphere
@@ -43,6 +42,7 @@ def first_guess(
     mesh: Asset | None = None,
     seed: int = 0,
     cards: str = "mask",
+    resolution: int = 256,
     **changes: Any,
 ) -> tuple[Model, list[str]]:
     """
@@ -60,6 +60,8 @@ def first_guess(
         Of the noise of random textures.
     cards : {'mask', 'blend', 'opaque'}
         How cards are transparent.
+    resolution : int
+        Side of the pictures in which a part is large enough to be missed [pixels].
     changes
         Settings by name, as in ``first_guess(asset, triangles=500)``; they win over ``settings``.
 
@@ -90,10 +92,14 @@ def first_guess(
         if mesh is None:
             raise MeshError("a start from a mesh needs one: name the file")
         return from_mesh(asset, mesh, settings, seed=seed)
-    return (decimated if settings.kind == "decimate" else inflated)(asset, settings, seed=seed)
+    if settings.kind == "decimate":
+        return decimated(asset, settings, seed=seed, resolution=resolution)
+    return inflated(asset, settings, seed=seed)
 
 
-def decimated(asset: Asset, settings: InitialSettings, *, seed: int = 0) -> tuple[Model, list[str]]:
+def decimated(
+    asset: Asset, settings: InitialSettings, *, seed: int = 0, resolution: int = 256
+) -> tuple[Model, list[str]]:
     """
     Quadric edge collapse of the asset, unwrapped and baked; parameters, results and errors as of :func:`first_guess`.
     """
@@ -102,7 +108,9 @@ def decimated(asset: Asset, settings: InitialSettings, *, seed: int = 0) -> tupl
     if why:
         notes.append(f"{why}: textured cards (--mode cards) may show them better than one surface")
         log.warning("%s", notes[-1])
-    positions, faces, more = reduced(asset, triangles)
+    positions, faces, more = reduced(
+        asset, triangles, keep_hidden=settings.keep_hidden, resolution=resolution
+    )
     mesh, charted = unwrapped(positions, faces, settings)
     return _textured(asset, mesh, settings, seed, notes + more + charted)
 
@@ -231,9 +239,13 @@ def displaced_onto(asset: Asset, model: Model, subdivisions: int, tessellations:
     return replace(model, mesh=tessellation.base, displacement=displacement)
 
 
-def reduced(asset: Asset, triangles: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def reduced(
+    asset: Asset, triangles: int, *, keep_hidden: bool = False, resolution: int = 256
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """
-    Positions (P, 3) and faces (F, 3) of the cleaned and decimated asset, and what the clean-up did.
+    Positions (P, 3) and faces (F, 3) of the cleaned and decimated asset, and what was done and lost.
+
+    Of an asset with a skeleton no part counts as hidden: it may come out in a pose.
     """
     if triangles > asset.n_triangles:
         raise MeshError(
@@ -242,12 +254,19 @@ def reduced(asset: Asset, triangles: int) -> tuple[np.ndarray, np.ndarray, list[
         )
     soup, notes = clean(merge(asset))
     ensure_variant()
-    from .reduce.visibility import visibility  # traces rays
+    from .reduce.parts import reduce_parts  # these trace rays
+    from .reduce.visibility import visibility
 
     opaque = np.array([m.alpha_mode == "OPAQUE" for m in soup.materials])[soup.material_index]
     seen = visibility(soup.positions, soup.position_faces, opaque)
-    positions, faces = decimate(soup.positions, soup.position_faces, triangles, seen)
-    return positions, faces, notes
+    names = np.array(soup.names)[soup.part_index]
+    positions, faces, more, warnings = reduce_parts(
+        soup.positions, soup.position_faces, triangles, seen, opaque, names,
+        keep_hidden=keep_hidden or asset.rig is not None, resolution=resolution,
+    )  # fmt: skip
+    for line in warnings:
+        log.warning("%s", line)
+    return positions, faces, notes + more + warnings
 
 
 def _n_positions(asset: Asset) -> int:

@@ -36,6 +36,11 @@ class Soup:
         Whether the normal is the file's.
     material_index : ndarray, shape (F,), int64
         Index into ``materials``.
+    materials : tuple of Material
+    part_index : ndarray, shape (F,), int64
+        Index into ``names``.
+    names : tuple of str
+        Of the instances.
     """
 
     positions: np.ndarray
@@ -47,6 +52,8 @@ class Soup:
     has_normals: np.ndarray
     material_index: np.ndarray
     materials: tuple[Material, ...]
+    part_index: np.ndarray
+    names: tuple[str, ...]
 
     @property
     def vertices(self) -> np.ndarray:
@@ -108,4 +115,6 @@ def merge(asset: Asset) -> Soup:
         has_normals=np.concatenate(has_normals),
         material_index=np.concatenate(material_index),
         materials=tuple(materials),
+        part_index=np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts]),
+        names=tuple(p.name or f"part {k}" for k, p in enumerate(parts)),
     )

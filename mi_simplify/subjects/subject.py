@@ -126,7 +126,7 @@ class Subject(ABC):
         repair = initial.repair and "vertices" in self.config.latent.optimize
         model, notes = first_guess(
             asset, initial.model_copy(update={"repair": repair}), mesh=mesh, seed=self.config.seed,
-            cards=self.config.opacity.cards,
+            cards=self.config.opacity.cards, resolution=self.config.evaluation.resolution,
         )  # fmt: skip
         if initial.vertex_sets > 1:
             sizes = tuple(float(max(self.config.optimizer.resolution) / 2**k) for k in range(initial.vertex_sets))

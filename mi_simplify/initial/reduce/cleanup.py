@@ -82,7 +82,12 @@ def clean(soup: Soup) -> tuple[Soup, list[str]]:
 
 def _keep(soup: Soup, which: np.ndarray) -> Soup:
     """The soup with some of its faces."""
-    return replace(soup, faces=soup.faces[which], material_index=soup.material_index[which])
+    return replace(
+        soup,
+        faces=soup.faces[which],
+        material_index=soup.material_index[which],
+        part_index=soup.part_index[which],
+    )
 
 
 def _weld_near(soup: Soup, tolerance: float) -> Soup:
@@ -143,11 +148,11 @@ def _swap_slivers(soup: Soup, rounds: int = 8) -> tuple[Soup, int, int]:
         a, b, d = f[mate, km], f[mate, (km + 1) % 3], f[mate, (km + 2) % 3]
         fine = tip_p != fp[mate, (km + 2) % 3]
         face, mate, tip, a, b, d = (x[fine] for x in (face, mate, tip, a, b, d))
-        faces, material = f.copy(), soup.material_index.copy()
+        faces, material, part = f.copy(), soup.material_index.copy(), soup.part_index.copy()
         faces[mate] = np.stack([a, tip, d], 1)
         faces[face] = np.stack([tip, b, d], 1)
-        material[face] = material[mate]
-        soup = replace(soup, faces=faces, material_index=material)
+        material[face], part[face] = material[mate], part[mate]
+        soup = replace(soup, faces=faces, material_index=material, part_index=part)
         swapped += len(face)
         if not len(face):
             break

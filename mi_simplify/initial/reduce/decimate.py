@@ -5,23 +5,28 @@ Garland and Heckbert 1997, mostly with the memoryless quadrics of Hoppe 1999: th
 against the triangles as they are now, weighted by area. At equal counts the surface is a third closer to the original
 than with quadrics accumulated since the beginning; a tenth of those is mixed in, because without any memory thin tips
 wear away. Works on any triangle set: open edges and edges of more than two faces carry quadrics of their own, so that
-borders and joints stay where they are.
+borders and joints stay where they are. Components share one budget: the cheapest collapses of all come first.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
 
 from ...errors import MeshError
 from ...model.topology import area_vectors
+from .crumbs import components, with_hulls, without_crumbs
+from .quadrics import evaluate, minimise, planes
 
 _LENIENCE = ((0.15, 0.2, 0.02), (0.5, 0.2, 0.02), (1.0, 0.2, 0.02), (1.0, 0.0, 0.0), (1.0, -1.0, 0.0))
 """
 Share of the edges, cheapest first, that may collapse in one round, how far a face may turn (cosine), and the least
 height of a face over its length; each row is for where nothing could be collapsed by the one before.
 """
+_TEARING = ((0.15, 0.2, 0.0, True), (1.0, 0.0, 0.0, True), (1.0, -1.0, 0.0, True))
+"""The same where parts must not go as a whole and are stuck: borders and handles may close, as they then must."""
 _BORDER = 10.0
 """Weight of the planes that hold open and non-manifold edges in place, against a face plane of the same size."""
 _LEAST_IMPORTANCE = 0.02
@@ -66,28 +71,118 @@ def decimate(
     MeshError
         The budget is below 4, or less than the components of the mesh need.
     """
-    if n_triangles < 4:
-        raise MeshError(f"a budget of {n_triangles} triangles is too small; ask for at least 4")
-    positions, faces = np.asarray(positions, np.float64), np.asarray(faces, np.int64)
-    centre = positions[np.unique(faces)].mean(0)
-    scale = 1 / np.ptp(positions[np.unique(faces)], axis=0).max()
-    p = (positions - centre) * scale
-    weights = np.ones(len(p)) if importance is None else np.maximum(importance, _LEAST_IMPORTANCE)
-    past, patience = None, 0
-    while len(faces) > n_triangles:
-        mesh = _Round(p, faces, weights, past)
-        chosen, targets, price = mesh.choose(len(faces) - n_triangles, *_LENIENCE[patience])
-        if len(chosen):
-            patience = 0
-            p, faces, weights, past = mesh.collapse(chosen, targets)
-            if len(faces) < 4 * n_triangles:
-                faces = _without_crumbs(p, faces, weights, n_triangles, price)
-        elif patience + 1 < len(_LENIENCE):
-            patience += 1
-        else:
-            faces = _without_crumbs(p, faces, weights, n_triangles)
-    used, faces = np.unique(faces, return_inverse=True)
-    return p[used] / scale + centre, faces.reshape(-1, 3)
+    faces = np.asarray(faces, np.int64)
+    label = components(faces, len(positions))
+    reduction = Reduction.of(positions, faces, importance, label)
+    return reduction.to(n_triangles, np.zeros(label.max() + 1, np.int64)).result()[:2]
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """
+    A surface on its way to fewer triangles, from where several ways can be tried.
+
+    Parameters
+    ----------
+    p : ndarray, shape (P, 3), float64
+        Positions at the scale of 1; not all are in use.
+    faces : ndarray, shape (F, 3), int64
+    weights : ndarray, shape (P,), float64
+        Importance of what has become of each position.
+    past : ndarray, shape (P, 10), or None
+        Quadrics accumulated so far.
+    label : ndarray, shape (P,), int64
+        Component of each position, as :func:`.crumbs.components` gives it.
+    frame : tuple of ndarray, shape (3,), and float
+        Centre and scale of the positions.
+    """
+
+    p: np.ndarray
+    faces: np.ndarray
+    weights: np.ndarray
+    past: np.ndarray | None
+    label: np.ndarray
+    frame: tuple[np.ndarray, float]
+
+    @staticmethod
+    def of(positions: np.ndarray, faces: np.ndarray, importance: np.ndarray | None, label: np.ndarray) -> Reduction:
+        """
+        The surface as it is; the arguments are those of :func:`decimate` and the component of each position.
+        """
+        positions, faces = np.asarray(positions, np.float64), np.asarray(faces, np.int64)
+        used = positions[np.unique(faces)]
+        centre, scale = used.mean(0), float(1 / np.ptp(used, axis=0).max())
+        weights = np.ones(len(positions)) if importance is None else np.maximum(importance, _LEAST_IMPORTANCE)
+        return Reduction((positions - centre) * scale, faces, weights, None, label, (centre, scale))
+
+    def to(self, n_triangles: int, least: np.ndarray, crumbs: bool = True) -> Reduction:
+        """
+        At most ``n_triangles`` triangles, at least 4.
+
+        Parameters
+        ----------
+        least : ndarray, shape (C,), int64
+            Triangles that each component keeps, in all not more than the budget; of 0, it may go as a whole. A
+            component that cannot be collapsed as far as it must is torn, and becomes its convex hull if that does not
+            do.
+        crumbs : bool
+            Components of 0 may go before nothing can be collapsed any more.
+
+        Raises
+        ------
+        MeshError
+            The budget is below 4, or less than the components of the mesh need.
+        """
+        if n_triangles < 4:
+            raise MeshError(f"a budget of {n_triangles} triangles is too small; ask for at least 4")
+        p, faces, weights, past, label = self.p, self.faces, self.weights, self.past, self.label
+        rules = [(*row, False) for row in _LENIENCE]
+        if least.any():
+            rules[3:3] = _TEARING
+        patience = 0
+        while len(faces) > n_triangles:
+            mesh = _Round(p, faces, weights, past)
+            room = _room(faces, label, least)
+            chosen, targets, price = mesh.choose(len(faces) - n_triangles, label, room, *rules[patience])
+            if len(chosen):
+                tear = rules[patience][-1]
+                p, faces, weights, past = mesh.collapse(chosen, targets, tear)
+                patience = patience if tear else 0  # what had to be torn once is stuck without
+                if crumbs and len(faces) < 4 * n_triangles:
+                    faces = without_crumbs(p, faces, weights, n_triangles, label, least, price)
+            elif patience + 1 < len(rules):
+                patience += 1
+            else:
+                p, faces = _unstuck(p, faces, weights, n_triangles, label, least)
+        return replace(self, p=p, faces=faces, weights=weights, past=past)
+
+    def result(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Positions (Q, 3), faces (G, 3) and the component of each position (Q,).
+        """
+        used, faces = np.unique(self.faces, return_inverse=True)
+        centre, scale = self.frame
+        return self.p[used] / scale + centre, faces.reshape(-1, 3), self.label[used]
+
+
+def _unstuck(
+    p: np.ndarray, faces: np.ndarray, weights: np.ndarray, n_triangles: int, label: np.ndarray, least: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and fewer faces where nothing can be collapsed."""
+    less = without_crumbs(p, faces, weights, n_triangles, label, least, slack=3)
+    if len(less) > n_triangles:
+        p, less = with_hulls(p, less, weights, n_triangles, label, least, decimate)
+    if len(less) == len(faces):
+        less = without_crumbs(p, faces, weights, n_triangles, label, least)
+    if len(less) == len(faces):
+        raise MeshError(f"this surface cannot be reduced below {len(faces)} triangles; ask for at least as many")
+    return p, less
+
+
+def _room(faces: np.ndarray, label: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Faces that each component may still lose to collapses, shape (C,)."""
+    size = np.bincount(label[faces[:, 0]], minlength=len(least))
+    return np.where(least > 0, size - least, np.iinfo(np.int64).max)
 
 
 class _Round:
@@ -121,10 +216,10 @@ class _Round:
         length = np.linalg.norm(normal, axis=1)
         normal /= np.maximum(length, 1e-300)[:, None]
         share = length / 6 * self.weights[self.faces].mean(1)  # a third of the area to each corner
-        planes = _planes(normal, p[:, 0], share)
+        walls = planes(normal, p[:, 0], share)
         indptr = np.append(self.first_corner, len(self.corner))
         gather = csr_array((np.ones(len(self.corner)), self.corner // 3, indptr), shape=(self.n, len(self.faces)))
-        quadrics = gather @ planes
+        quadrics = gather @ walls
         rim = self.counts != 2
         self.hold = gather @ share * self._pointedness(p, length, rim)
         if rim.any():
@@ -133,9 +228,9 @@ class _Round:
             across = np.cross(along, normal[a_face[rim]])
             length2 = np.einsum("ei,ei->e", along, along)
             across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-            planes = _planes(across, a, _BORDER * length2 * self.weights[self.edges[rim]].mean(1))
+            walls = planes(across, a, _BORDER * length2 * self.weights[self.edges[rim]].mean(1))
             for k in range(2):
-                np.add.at(quadrics, self.edges[rim, k], planes)
+                np.add.at(quadrics, self.edges[rim, k], walls)
         return quadrics
 
     def _pointedness(self, corners: np.ndarray, double_area: np.ndarray, rim: np.ndarray) -> np.ndarray:
@@ -152,11 +247,14 @@ class _Round:
         t = np.clip((lack - _TIP[0]) / (_TIP[1] - _TIP[0]), 0, 1)
         return t * t * (3 - 2 * t)
 
-    def choose(self, n_remove: int, share: float, turn: float, thin: float) -> tuple[np.ndarray, np.ndarray, float]:
+    def choose(
+        self, n_remove: int, label: np.ndarray, room: np.ndarray, share: float, turn: float, thin: float, tear: bool
+    ) -> tuple[np.ndarray, np.ndarray, float]:
         """
         Edges to collapse together, none next to another, cheapest first; where they go, shape (S, 3); the highest cost.
 
-        No more of them than remove ``n_remove`` faces (the last one may remove one more).
+        No more of them than remove ``n_remove`` faces (the last one may remove one more), and of no component more than
+        its ``room``, shape (C,). With ``tear``, borders and handles may close.
         """
         a, b = self.edges.T
         quadric = self.quadrics[a] + self.quadrics[b]
@@ -165,13 +263,17 @@ class _Round:
         hold = np.stack([self.hold[a], self.hold[b]])
         pulls = np.stack([_ANCHOR * weight + 1e-30, *(_TIP_PULL * hold)])
         anchor = np.einsum("ke,kei->ei", pulls / pulls.sum(0), [middle, self.p[a], self.p[b]])
-        target = _minimise(quadric, anchor, pulls.sum(0))
-        cost = np.maximum(_evaluate(quadric, target), 0) + _LENGTH * weight * np.einsum("ei,ei->e", along, along)
+        target = minimise(quadric, anchor, pulls.sum(0))
+        cost = np.maximum(evaluate(quadric, target), 0) + _LENGTH * weight * np.einsum("ei,ei->e", along, along)
         for end, w in zip((a, b), hold, strict=True):
             cost += w * ((target - self.p[end]) ** 2).sum(1)
 
-        k = min(len(cost), max(64, int(share * len(cost))))
-        left = np.argpartition(cost, k - 1)[:k]
+        part = label[a]
+        free = np.flatnonzero(self.counts <= room[part])
+        if not len(free):
+            return free, target[free], 0.0
+        k = min(len(free), max(64, int(share * len(free))))
+        left = free[np.argpartition(cost[free], k - 1)[:k]]
         left = left[np.argsort(cost[left], kind="stable")]  # a place in this list is the rank of an edge
         taken = np.zeros(self.n, bool)
         chosen = []
@@ -187,7 +289,7 @@ class _Round:
             winner = (around[self.edges[left]] == rank[:, None]).all(1)
             good = left[winner]
             if not checked:
-                good = good[self._allowed(good, target[good], turn, thin)]
+                good = good[self._allowed(good, target[good], turn, thin, tear)]
             chosen.append(good)
             ends = self.edges[good].ravel()
             taken[ends] = True
@@ -195,16 +297,17 @@ class _Round:
             stuck = len(good) < 0.5 * winner.sum()
             left = left[~winner & ~taken[self.edges[left]].any(1)]
             if stuck and len(left):  # edges that must not collapse stand in the way of those that may
-                left, checked = left[self._allowed(left, target[left], turn, thin)], True
+                left, checked = left[self._allowed(left, target[left], turn, thin, tear)], True
             if not len(left):
                 break
         found = np.concatenate(chosen)
         found = found[np.argsort(cost[found], kind="stable")]
+        found = found[_running(part[found], self.counts[found]) <= room[part[found]]]
         gone = np.cumsum(self.counts[found])
         found = found[: int(np.searchsorted(gone, n_remove)) + 1]
         return found, target[found], float(cost[found[-1]]) if len(found) else 0.0
 
-    def _allowed(self, edges: np.ndarray, target: np.ndarray, turn: float, thin: float) -> np.ndarray:
+    def _allowed(self, edges: np.ndarray, target: np.ndarray, turn: float, thin: float, tear: bool) -> np.ndarray:
         """Which collapses keep the topology, turn no face over and make no needles, shape (S,)."""
         a, b = self.edges[edges].T
         # link condition: the ends share no neighbours but those of their common faces
@@ -214,10 +317,10 @@ class _Round:
         place = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
         common = np.bincount(owner[self.key[place] == key], minlength=len(edges))
         counts = self.counts[edges]
-        ok = common == counts
+        ok = (common == counts) | tear
         on_rim = np.zeros(self.n, bool)
         on_rim[self.edges[self.counts != 2].ravel()] = True
-        ok &= ~(on_rim[a] & on_rim[b] & (counts == 2))  # would pinch two borders together
+        ok &= ~(on_rim[a] & on_rim[b] & (counts == 2)) | tear  # would pinch two borders together
         ok &= self.valence[a] + self.valence[b] - 2 * counts > 2  # a tetrahedron is the end
         for moved, fixed in ((a, b), (b, a)):
             index, owner = _rows(self.first_corner[moved], self.valence[moved])
@@ -235,7 +338,9 @@ class _Round:
             ok &= np.bincount(owner[bad], minlength=len(edges)) == 0
         return ok
 
-    def collapse(self, edges: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def collapse(
+        self, edges: np.ndarray, target: np.ndarray, tear: bool = False
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Positions, faces, weights and accumulated quadrics after the edges have become their targets."""
         a, b = self.edges[edges].T
         p, weights, past = self.p.copy(), self.weights.copy(), self.past.copy()
@@ -245,7 +350,10 @@ class _Round:
         name = np.arange(self.n)
         name[b] = a
         f = name[self.faces]
-        return p, f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])], weights, past
+        f = f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])]
+        if tear:  # what closes leaves two faces on one another
+            f = f[np.sort(np.unique(np.sort(f, axis=1), axis=0, return_index=True)[1])]
+        return p, f, weights, past
 
 
 def _rows(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -254,55 +362,12 @@ def _rows(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - first, count), owner
 
 
-def _planes(normal: np.ndarray, point: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Quadrics of squared distances to planes, shape (N, 10)."""
-    n, d = normal, -np.einsum("ni,ni->n", normal, point)
-    rows = [n * n[:, :1], n[:, 1:] * n[:, 1:2], n[:, 2:] * n[:, 2:], n * d[:, None], (d * d)[:, None]]
-    return np.concatenate(rows, 1) * weight[:, None]
-
-
-def _evaluate(q: np.ndarray, x: np.ndarray) -> np.ndarray:
-    x, y, z = x.T
-    square = q[:, 0] * x * x + q[:, 3] * y * y + q[:, 5] * z * z
-    mixed = q[:, 1] * x * y + q[:, 2] * x * z + q[:, 4] * y * z + q[:, 6] * x + q[:, 7] * y + q[:, 8] * z
-    return square + 2 * mixed + q[:, 9]
-
-
-def _minimise(q: np.ndarray, anchor: np.ndarray, pull: np.ndarray) -> np.ndarray:
-    """Where quadrics are least, with a weak pull to ``anchor`` (Cramer's rule; the pull keeps it solvable)."""
-    a, b, c, d, e, f = q[:, 0] + pull, q[:, 1], q[:, 2], q[:, 3] + pull, q[:, 4], q[:, 5] + pull
-    x, y, z = (pull[:, None] * anchor - q[:, 6:9]).T
-    m00, m01, m02 = d * f - e * e, c * e - b * f, b * e - c * d
-    m11, m12, m22 = a * f - c * c, b * c - a * e, a * d - b * b
-    determinant = a * m00 + b * m01 + c * m02
-    point = np.stack([m00 * x + m01 * y + m02 * z, m01 * x + m11 * y + m12 * z, m02 * x + m12 * y + m22 * z], 1)
-    return np.where(determinant[:, None] > 0, point / np.maximum(determinant, 1e-300)[:, None], anchor)
-
-
-def _without_crumbs(
-    p: np.ndarray, faces: np.ndarray, weights: np.ndarray, n_triangles: int, price: float = np.inf
-) -> np.ndarray:
-    """
-    The faces without the components that cost less than a collapse of ``price``, cheapest first, down to the budget.
-
-    What a component costs is its area times the square of its size, shared among its faces; a collapse removes two.
-    """
-    graph = coo_array((np.ones(2 * len(faces)), (faces[:, [0, 0]].ravel(), faces[:, 1:].ravel())), shape=(len(p),) * 2)
-    _, label = connected_components(graph, directed=False)
-    names, component = np.unique(label[faces[:, 0]], return_inverse=True)
-    if len(names) == 1:
-        if np.isinf(price):
-            raise MeshError(f"this surface cannot be reduced below {len(faces)} triangles; ask for at least as many")
-        return faces
-    c = p[faces]
-    area = np.linalg.norm(area_vectors(c), axis=1) / 2
-    area = np.bincount(component, area * weights[faces].mean(1))
-    low, high = np.full((len(names), 3), np.inf), np.full((len(names), 3), -np.inf)
-    np.minimum.at(low, component, c.min(1))
-    np.maximum.at(high, component, c.max(1))
-    size = np.bincount(component)
-    cost = area * (((high - low) / 2) ** 2).sum(1) / size
-    order = np.argsort(cost, kind="stable")[:-1]  # the dearest stays in any case
-    left = len(faces) - np.cumsum(size[order])
-    goes = (2 * cost[order] < price) & (left + (size[order] if np.isinf(price) else 0) >= n_triangles)
-    return faces[~np.isin(component, order[goes])]
+def _running(group: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Running sums within each group, in the order given, shape (N,)."""
+    order = np.argsort(group, kind="stable")
+    total = np.cumsum(value[order])
+    first = np.diff(group[order], prepend=-1) != 0
+    before = (total - value[order])[first]
+    out = np.empty_like(total)
+    out[order] = total - np.repeat(before, np.diff(np.append(np.flatnonzero(first), len(group))))
+    return out
