@@ -41,7 +41,7 @@ class InitialSettings(Section):
     )
     keep_hidden: bool = Field(
         False,
-        description="Decimation keeps parts that cannot be seen from outside; else they go first. Always kept where the "
+        description="Keep parts that cannot be seen from outside, which else go first when decimating; always kept where the "
         "asset has a skeleton.",
     )
     atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")

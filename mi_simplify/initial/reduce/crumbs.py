@@ -67,7 +67,7 @@ def with_hulls(
     decimate: Callable[[np.ndarray, np.ndarray, int], tuple[np.ndarray, np.ndarray]],
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Positions and faces with components, cheapest first, turned into convex hulls of fewer triangles, down to the budget.
+    Positions and faces with components, cheapest first, turned into convex hulls, down to the budget.
 
     Last resort for what many handles or joints hold together; a hull has at least 4 triangles, and what is set aside.
     A flat component becomes a rectangle. A single component is left alone: its hull would be another shape.
