@@ -39,6 +39,7 @@ from .options import (
     help="What the result is made of: one surface, textured cards for foliage, or what suits the asset.",
 )
 @KEEP_UV
+@click.option("--keep-hidden", is_flag=True, help="Keep parts that cannot be seen from outside.")
 @FRAMES
 @click.option("--bind-pose-only", is_flag=True, help="Fit a character in its bind pose alone.")
 @OUT
@@ -50,7 +51,7 @@ from .options import (
 @DRY_RUN
 @QUIET
 def simplify(
-    asset, triangles, init, mode, keep_uv, frames, bind_pose_only, out, config, settings, **options
+    asset, triangles, init, mode, keep_uv, keep_hidden, frames, bind_pose_only, out, config, settings, **options
 ) -> None:  # fmt: skip
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
@@ -61,6 +62,8 @@ def simplify(
         initial |= {"kind": "sphere", "mesh": None} if init == "sphere" else {"kind": "mesh", "mesh": init}
     if keep_uv:
         initial["keep_uv"] = True
+    if keep_hidden:
+        initial["keep_hidden"] = True
     if mode != "mesh":
         if init is not None:
             raise click.UsageError(f"--mode {mode} makes a first guess of its own, so it does not go with --init")
@@ -153,6 +156,8 @@ def _run(
         result = job(settings, out, progress, overwrite=overwrite, resume=resume)
     if dry_run or not quiet:
         print(result.summary())
+    if not dry_run and result.alarm is not None:
+        click.secho(f"warning: {result.alarm}", fg="red", err=True)  # colours are left out where it is no terminal
 
 
 @click.command()

@@ -41,8 +41,8 @@ class InitialSettings(Section):
     )
     keep_hidden: bool = Field(
         False,
-        description="Keep parts that cannot be seen from outside, which else go first when decimating; always kept where the "
-        "asset has a skeleton.",
+        description="Keep parts that cannot be seen from outside, which else go first when decimating; always so where "
+        "the asset has a skeleton.",
     )
     atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
     crease_angle: float = Field(

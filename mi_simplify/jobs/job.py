@@ -19,6 +19,7 @@ from ..initial.guess import first_guess
 from ..judging.comparison import save_comparison
 from ..judging.evaluate import Judging
 from ..judging.self_check import LEAST_PSNR, self_check
+from ..judging.verdict import unlike
 from ..machine.files import write_atomic
 from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
@@ -61,6 +62,13 @@ class Result:
         """
         seconds = self.figures["run"]["seconds"]["total"]
         return "\n".join([*figure_rows(self.figures), f"{self.folder}: done in {seconds:.0f} s"])
+
+    @property
+    def alarm(self) -> str | None:
+        """
+        One line where the result is plainly unlike the asset: see :func:`mi_simplify.judging.verdict.unlike`.
+        """
+        return unlike(self.figures)
 
 
 def run_job(
