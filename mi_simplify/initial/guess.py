@@ -108,9 +108,7 @@ def decimated(
     if why:
         notes.append(f"{why}: textured cards (--mode cards) may show them better than one surface")
         log.warning("%s", notes[-1])
-    positions, faces, more = reduced(
-        asset, triangles, keep_hidden=settings.keep_hidden, resolution=resolution
-    )
+    positions, faces, more = reduced(asset, triangles, keep_hidden=settings.keep_hidden, resolution=resolution)
     mesh, charted = unwrapped(positions, faces, settings)
     return _textured(asset, mesh, settings, seed, notes + more + charted)
 
