@@ -10,7 +10,10 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import UserError
-from .scene_edges import SceneEdges, lights_move, sensor_cameras
+from .crossings import Crossings
+from .projections import Projections, sensor_projections
+from .scene_edges import SceneEdges
+from .shadow_borders import sharp_lights, soft_lights
 
 log = logging.getLogger("mi_simplify")
 
@@ -193,42 +196,59 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         with dr.suspend_grad():
             if self._edges is None or not self._edges.is_of(scene):
                 self._edges = SceneEdges(scene)
-        positions = self._edges.moving_positions(scene, sensor)
-        if self.shadows and not self._warned and (positions is not None or lights_move(scene)):
-            log.warning("direct_edge: derivatives of shadow borders are not computed; shadows are constants")
-            self._warned = True
-        if positions is None or self._edges.edges is None:
+        lights = sharp_lights(scene) if self.shadows else None
+        positions = self._edges.moving_positions(scene, sensor, lights)
+        if positions is None:
             return None
-        cameras = sensor_cameras(sensor)
-        n = max(1024, int(cameras.n_pixels * spp * self.edge_fraction))
-        with dr.suspend_grad():
-            opaque_seed = dr.opaque(mi.UInt32, seed) + 0x9E3779B9
-            e = self._edges.edges.sample(positions, cameras, n, opaque_seed, _shown(film))
-            flat = dr.detach(cameras)
-            p = self._edges.point(positions, e)
-            sides, met = [], []
-            step = e.step * (_LAYER_WIDTH if self.layers > 1 else 1)
-            for s in (-step, step):
-                sampler = mi.load_dict({"type": "independent"})
-                sampler.seed(opaque_seed, n)  # the same light samples on both sides
-                origin, direction = flat.ray(e.view, e.x + s * e.nx, e.y + s * e.ny)
-                ray = mi.RayDifferential3f(origin, direction)
-                at_edge = lambda si, o=origin: self._edges.at_edge(si, e, p, o)  # noqa: E731
-                radiance, _, (coverage,), meets = self.sample(dr.ADMode.Primal, scene, sampler, ray, at_edge=at_edge)
-                sides.append([*radiance, coverage])
-                met.append(meets)
-            weight = dr.select(e.shows(*met), e.weight * spp, 0)
-        x = cameras.project(e.view, self._edges.point(positions, e))
-        motion = (x.x * e.nx + x.y * e.ny) * weight
-        jump = [dr.replace_grad(mi.Float(0), (low - high) * motion) for low, high in zip(*sides, strict=True)]
-        pos = mi.Vector2f(e.x, e.y)
-        if film.rfilter().is_box_filter():
-            pos = dr.floor(pos)
+        if self.shadows and not self._warned and soft_lights(scene):
+            names = ", ".join(soft_lights(scene))
+            log.warning("direct_edge: derivatives of the shadows of %s are not computed; they are constants", names)
+            self._warned = True
+        projections = sensor_projections(sensor, int(dr.detach(mi.UInt32(seed))[0]))
+        pixels = dr.prod(film.crop_size())
+        n = max(1024, int(pixels * spp * self.edge_fraction))
+        opaque_seed = dr.opaque(mi.UInt32, seed) + 0x9E3779B9
         block = film.create_block()
         block.set_coalesce(False)
-        # Weight 0: the block's weights count camera samples, spp of them a pixel, hence the factor above.
-        type(self)._splat_to_block(block, film, pos, mi.Spectrum(*jump[:3]), 0, jump[3], [], [])
+        for k, c in enumerate(
+            self._edges.crossings(scene, positions, projections, lights, n, opaque_seed, _shown(film))
+        ):
+            self._put(block, scene, sensor, film, dr.detach(projections), c, opaque_seed + 7919 * k, spp)
         return block
+
+    def _put(
+        self, block: mi.ImageBlock, scene: mi.Scene, sensor: mi.Sensor, film: mi.Film, projections: Projections,
+        c: Crossings, seed: mi.UInt32, spp: int,
+    ) -> None:  # fmt: skip
+        """
+        Add jumps to a block: zeros whose derivative is the jump times the motion of the curve.
+        """
+        with dr.suspend_grad():
+            n = dr.width(c.x)
+            depth = dr.norm(projections.towards(c.view, c.p))
+            parallel = projections.fetch(c.view, 0).w > 0
+            depth = dr.select(parallel, projections.homogeneous(c.view, c.p).w, depth)
+            wavelengths, weight = _wavelengths(sensor, seed, n)
+            sides, met = [], []
+            step = dr.select(c.outline, c.step * (_LAYER_WIDTH if self.layers > 1 else 1), c.step)
+            for s in (-step, step):
+                sampler = mi.load_dict({"type": "independent"})
+                sampler.seed(seed, n)  # the same light samples on both sides
+                origin, direction = projections.ray(c.view, c.x + s * c.nx, c.y + s * c.ny)
+                ray = mi.RayDifferential3f(origin, direction)
+                ray.wavelengths = wavelengths
+                at_edge = lambda si: self._edges.at_crossing(si, c, depth)  # noqa: E731
+                radiance, _, (coverage,), meets = self.sample(dr.ADMode.Primal, scene, sampler, ray, at_edge=at_edge)
+                sides.append([*(radiance * weight), coverage])
+                met.append(meets)
+            counts = dr.select(c.shows(*met), c.weight * spp, 0)
+        motion = c.motion * counts
+        jump = [dr.replace_grad(mi.Float(0), (low - high) * motion) for low, high in zip(*sides, strict=True)]
+        pos = mi.Vector2f(c.x, c.y)
+        if film.rfilter().is_box_filter():
+            pos = dr.floor(pos)
+        # Weight 0: the block's weights count camera samples, spp of them a pixel, hence the factor above.
+        type(self)._splat_to_block(block, film, pos, mi.Spectrum(*jump[:-1]), 0, jump[-1], [], wavelengths)
 
     def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
         image = self._attached(scene, sensor, seed, spp, dr.ADMode.Forward)
@@ -254,6 +274,17 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
 
     def to_string(self):
         return f"DirectEdge[shadows={self.shadows}, layers={self.layers}, edge_fraction={self.edge_fraction}]"
+
+
+def _wavelengths(sensor: mi.Sensor, seed: mi.UInt32, n: int) -> tuple[mi.Color, mi.Spectrum]:
+    """
+    Wavelengths of rays and what radiance at them weighs: nothing and one in variants that are not spectral.
+    """
+    if not mi.is_spectral:
+        return [], mi.Spectrum(1)
+    sample = mi.Float(mi.sample_tea_32(dr.arange(mi.UInt32, n), seed, 6)[0]) * 2.0**-32
+    ray, weight = sensor.sample_ray(0.0, sample, mi.Point2f(0.5), mi.Point2f(0.5))
+    return ray.wavelengths, weight
 
 
 def _shown(film) -> mi.Float | None:

@@ -1,62 +1,27 @@
 """
-Edges and cameras of a plain Mitsuba scene, for the ``direct_edge`` plugin.
+The meshes of a plain Mitsuba scene and all that can jump in pictures of it, for the ``direct_edge`` plugin.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..errors import UserError
-from ..machine.meshes import POSITIONS, mesh_faces, mesh_positions
+from ..machine.meshes import NORMALS, POSITIONS, mesh_faces, mesh_positions
 from ..machine.upload import upload
 from ..model.topology import weld
-from ..scenes.views import Views
-from .camera import Cameras
+from .crossings import Crossings, Eyes
 from .edge_rays import AT_EDGE
-from .edge_samples import EdgeSamples
-from .edge_set import EdgeSet
 from .edges import edge_table
+from .film_edges import FilmEdges
 from .gbuffer import MISS
-
-
-def sensor_cameras(sensor: mi.Sensor) -> Cameras:
-    """
-    A Mitsuba sensor as a batch of one camera, attached where the sensor is.
-
-    Raises
-    ------
-    UserError
-        The sensor is no perspective camera, its principal point is off the centre, or its film samples beyond its
-        border.
-    """
-    params = mi.traverse(sensor)
-    kind = sensor.class_name() if hasattr(sensor, "class_name") else type(sensor).__name__
-    if "to_world" not in params or "x_fov" not in params or sensor.needs_aperture_sample():
-        raise UserError(f"direct_edge: sensor '{kind}' has no visibility gradient here, use a `perspective` sensor")
-    for axis in "xy":
-        key = f"principal_point_offset_{axis}"
-        if key in params and float(dr.detach(mi.Float(params[key]))[0]) != 0:
-            raise UserError("direct_edge: visibility gradients need the principal point in the middle of the film")
-    if sensor.film().sample_border():
-        raise UserError("direct_edge: visibility gradients stop at the film's border, set its `sample_border` to false")
-    to_world = mi.Matrix4f(params["to_world"].matrix)
-    column = lambda k: mi.Vector3f(to_world[0, k], to_world[1, k], to_world[2, k])  # noqa: E731
-    size = sensor.film().size()
-    views = Views(
-        origin=mi.Point3f(column(3)),
-        right=-dr.normalize(column(0)),  # Mitsuba's camera x axis points left on the image
-        up=dr.normalize(column(1)),
-        forward=dr.normalize(column(2)),
-        tan_x=dr.tan(dr.deg2rad(mi.Float(params["x_fov"])) * 0.5),
-        light_position=mi.Point3f(0),
-        light_intensity=mi.Color3f(0),
-        frame=mi.Float(0),
-        width=int(size[0]),
-        height=int(size[1]),
-    )
-    return Cameras.of(views)
+from .horizon import Horizon
+from .projections import Projections
+from .shadow_borders import sample_borders
 
 
 class SceneEdges:
@@ -68,8 +33,11 @@ class SceneEdges:
     """
 
     def __init__(self, scene: mi.Scene):
-        self._shapes = [s for s in scene.shapes() if s.is_mesh()]
-        self._others = [s for s in scene.shapes() if not s.is_mesh()]
+        shapes = list(scene.shapes())
+        # Mitsuba's rectangle says that it is a mesh, and has no vertices.
+        self._shapes = [s for s in shapes if s.is_mesh() and POSITIONS in mi.traverse(s)]
+        own = {id(s) for s in self._shapes}
+        self._others = [s for s in shapes if id(s) not in own]
         gather, tables, faces, n_positions = [], [], [], 0
         for mesh in self._shapes:
             vertices = dr.detach(mesh_positions(mesh)).numpy().reshape(-1, 3)
@@ -83,17 +51,19 @@ class SceneEdges:
             tables.append((face, keys))
             faces.append(face + n_positions)
             n_positions += len(first)
-        self.edges: EdgeSet | None = None
+        self.edges: FilmEdges | None = None
+        self.horizon: Horizon | None = None
+        self._bent: list[mi.Mesh] = []
         if faces:
             key_offset = np.cumsum([0] + [int(k.max(initial=0)) + 1 for _, k in tables[:-1]])
             keys = np.concatenate([k + o for (_, k), o in zip(tables, key_offset, strict=True)])
             all_faces = np.concatenate(faces)
-            # Materials are unknown here, so nothing is taken for granted about what lies behind.
-            self.edges = EdgeSet(edge_table(all_faces, keys), all_faces)
+            self.edges = FilmEdges(edge_table(all_faces, keys), all_faces)
+            self._find_horizon()
         self._first = [upload(mi.UInt32, g) for g in gather]
         # By the number that Dr.Jit's registry gives a shape, as hits carry it.
         numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in self._shapes]
-        first_face = np.full(max(numbers, default=0) + 1, MISS)
+        first_face = np.full(max(numbers, default=0) + 1, MISS, np.int64)
         first_face[numbers] = np.cumsum([0, *map(len, faces)])[:-1]
         self._first_face = upload(mi.UInt32, first_face)
 
@@ -101,25 +71,77 @@ class SceneEdges:
         """Whether the topology is that of this scene."""
         return {id(s) for s in self._shapes + self._others} == {id(s) for s in scene.shapes()}
 
-    @staticmethod
-    def point(positions: mi.Float, samples: EdgeSamples) -> mi.Point3f:
+    def _find_horizon(self) -> None:
         """
-        Where edge samples lie in the world, attached where the positions are.
+        The faces whose shading may jump where their interpolated normal turns away from the viewer.
         """
-        ends = [dr.gather(mi.Point3f, positions, i) for i in (samples.end0, samples.end1)]
-        return dr.lerp(*ends, samples.s)
+        self._bent = [m for m in self._shapes if m.has_vertex_normals() and _turns_black(m)]
+        if self._bent:
+            first = np.cumsum([0] + [m.vertex_count() for m in self._bent[:-1]])
+            self.horizon = Horizon(np.concatenate([mesh_faces(m) + k for m, k in zip(self._bent, first, strict=True)]))
 
-    def at_edge(self, si: mi.SurfaceInteraction3f, e: EdgeSamples, p: mi.Point3f, origin: mi.Point3f) -> mi.Bool:
+    def _face(self, si: mi.SurfaceInteraction3f) -> mi.UInt32:
         """
-        Whether hits of rays from ``origin`` lie at edge samples, which are at ``p``, and not before or behind them.
+        Faces of hits, numbered as in :attr:`edges`; beyond all faces where a hit is on another shape or on none.
         """
-        is_near = dr.squared_norm(si.p - p) < dr.squared_norm(p - origin) * AT_EDGE**2
         number = dr.reinterpret_array(mi.UInt32, si.shape)
         known = number < dr.width(self._first_face)
         first = dr.select(known, dr.gather(mi.UInt32, self._first_face, number, known), MISS)
-        face = dr.select(first != MISS, first + si.prim_index, MISS)
-        assert self.edges is not None  # there is a sample, so there are edges
-        return is_near | self.edges.touches(face, e.end0, e.end1)
+        return dr.select(first != MISS, first + si.prim_index, MISS)
+
+    def at_crossing(self, si: mi.SurfaceInteraction3f, c: Crossings, depth: mi.Float) -> mi.Bool:
+        """
+        Whether hits lie at crossings that are ``depth`` away from the viewer, and not before or behind them.
+        """
+        is_near = dr.squared_norm(si.p - c.p) < dr.square(depth * AT_EDGE)
+        assert self.edges is not None  # there is a crossing, so there are edges
+        return is_near | self.edges.touches(self._face(si), c.end0, c.end1)
+
+    def crossings(
+        self,
+        scene: mi.Scene,
+        positions: mi.Float,
+        projections: Projections,
+        lights: Eyes | None,
+        n: int,
+        seed: mi.UInt32,
+        image: mi.Float | None,
+    ) -> Iterator[Crossings]:
+        """
+        Samples of all curves across which the image may jump: edges, horizons inside faces, borders of shadows.
+
+        Parameters
+        ----------
+        positions : mi.Float
+            As of :meth:`moving_positions`.
+        lights : Eyes or None
+            Lights that cast sharp shadows, where there are shadows.
+        n : int
+            How many samples of edges; half as many of either of the others.
+        """
+        assert self.edges is not None
+        yield self.edges.sample(positions, projections, n, seed, image, lights)
+        if self.horizon is not None:
+            arrays = [_joined([mi.traverse(m)[key] for m in self._bent]) for key in (POSITIONS, NORMALS)]
+            yield self.horizon.sample(*arrays, projections, n // 2, seed + 0x632BE5AB)
+        if lights is not None:
+
+            def plane(si: mi.SurfaceInteraction3f) -> tuple[mi.Point3f, mi.Vector3f]:
+                return self._plane(si, positions)
+
+            yield sample_borders(self.edges, positions, lights, projections, scene, plane, n // 2, seed + 0x2545F491)
+
+    def _plane(self, si: mi.SurfaceInteraction3f, positions: mi.Float) -> tuple[mi.Point3f, mi.Vector3f]:
+        """
+        A point and the normal of the plane that is hit; attached on our meshes where these move.
+        """
+        assert self.edges is not None
+        face = self._face(si)
+        ours = face != MISS
+        index = [dr.gather(mi.UInt32, c, face, ours) for c in self.edges.faces]
+        a, b, c = (dr.gather(mi.Point3f, positions, i, ours) for i in index)
+        n = dr.cross(b - a, c - a)
+        return dr.select(ours, a, dr.detach(si.p)), dr.select(ours, n, mi.Vector3f(dr.detach(si.n)))
 
     def _refuse_moving_groups(self, scene: mi.Scene) -> None:
         """
@@ -133,7 +155,7 @@ class SceneEdges:
                     " place the mesh itself in the scene"
                 )
 
-    def moving_positions(self, scene: mi.Scene, sensor: mi.Sensor) -> mi.Float | None:
+    def moving_positions(self, scene: mi.Scene, sensor: mi.Sensor, lights: Eyes | None) -> mi.Float | None:
         """
         Welded positions of all meshes, flat, attached where they move; None where nothing visible moves.
 
@@ -152,17 +174,16 @@ class SceneEdges:
         if self._others:
             self._refuse_moving_groups(scene)
         positions = [mesh_positions(mesh) for mesh in self._shapes]
-        if self.edges is None or not (camera_moves or any(dr.grad_enabled(p) for p in positions)):
+        moves = camera_moves or any(dr.grad_enabled(p) for p in positions)
+        moves |= lights is not None and dr.grad_enabled(lights.packets)
+        normals = [mi.traverse(m)[NORMALS] for m in self._bent]
+        if self.edges is None or not (moves or any(dr.grad_enabled(n) for n in normals)):
             return None
-        welded = [dr.ravel(dr.gather(mi.Point3f, p, i)) for p, i in zip(positions, self._first, strict=True)]
-        return welded[0] if len(welded) == 1 else dr.concat(welded)
+        return _joined([dr.ravel(dr.gather(mi.Point3f, p, i)) for p, i in zip(positions, self._first, strict=True)])
 
 
-def lights_move(scene: mi.Scene) -> bool:
-    """
-    Whether a light's place or direction carries a gradient, so that shadow borders move with it.
-    """
-    return any(_attached(e) for e in scene.emitters())
+def _joined(arrays: list[mi.Float]) -> mi.Float:
+    return arrays[0] if len(arrays) == 1 else dr.concat(arrays)
 
 
 #: Parameters by which a shape, sensor or light moves; the rest is its look.
@@ -195,3 +216,11 @@ def _follows_face(mesh: mi.Mesh) -> bool:
         return False
     maps = [key for key, _ in mi.traverse(bsdf) if "normal" in key or "nested_texture" in key]
     return bool(maps) or mi.has_flag(bsdf.flags(), mi.BSDFFlags.Anisotropic)
+
+
+def _turns_black(mesh: mi.Mesh) -> bool:
+    """
+    Whether what a mesh shows may jump where its shading normal turns away from the viewer.
+    """
+    # `ggx_gamma` turns such normals continuously.
+    return mesh.is_emitter() or not hasattr(mesh.bsdf(), "shading_frame")

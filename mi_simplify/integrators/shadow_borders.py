@@ -1,0 +1,161 @@
+"""
+Borders of the shadows that point, spot and directional lights cast: edges seen from the light, projected on what is
+behind them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+
+from .crossings import Crossings, Eyes, drawn
+from .film_edges import FilmEdges
+from .gbuffer import MISS
+from .projections import Projections
+
+#: Either side of a border is looked at this far off [fraction of the film's larger side]: shadow rays start about a
+#: ten-thousandth of the coordinates off the surface, which shifts the border itself by as much.
+_STEP = 3e-4
+
+#: A receiver's plane: a point of it and its normal, of hits on faces.
+Plane = Callable[[mi.SurfaceInteraction3f], tuple[mi.Point3f, mi.Vector3f]]
+
+
+def sharp_lights(scene: mi.Scene) -> Eyes | None:
+    """
+    Where the lights that cast sharp shadows are, attached where they move; None where there is none.
+    """
+    rows: list = []
+    for emitter in scene.emitters():
+        params = mi.traverse(emitter)
+        if "position" in params:
+            rows += [*mi.Point3f(params["position"]), 1.0]
+        elif mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaPosition):
+            m = params["to_world"].matrix
+            rows += [m[0, 3], m[1, 3], m[2, 3], 1.0]
+        elif mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaDirection) and not emitter.is_environment():
+            m = params["to_world"].matrix
+            rows += [-m[0, 2], -m[1, 2], -m[2, 2], 0.0]
+    if not rows:
+        return None
+    return Eyes(dr.ravel(mi.ArrayXf([mi.Float(x) for x in rows])), len(rows) // 4)
+
+
+def soft_lights(scene: mi.Scene) -> list[str]:
+    """
+    Names of the lights whose shadows have no sharp border.
+    """
+    return [
+        e.id() or e.class_name()
+        for e in scene.emitters()
+        if not (+e.flags() & (+mi.EmitterFlags.DeltaPosition | +mi.EmitterFlags.DeltaDirection)) or e.is_environment()
+    ]
+
+
+def sample_borders(
+    edges: FilmEdges,
+    positions: mi.Float,
+    lights: Eyes,
+    projections: Projections,
+    scene: mi.Scene,
+    plane: Plane,
+    n_samples: int,
+    seed: mi.UInt32,
+) -> Crossings:
+    """
+    Points on the borders of shadows in all views.
+
+    An edge point q throws its shadow along the ray from the light through it, to where that meets the next surface:
+    r = l + t (q - l) with t such that r is in the plane of the face there. r follows the light, the edge and the
+    plane.
+
+    Parameters
+    ----------
+    positions : mi.Float, width P·3
+        Welded positions, attached where they move.
+    plane : callable
+        Plane of the faces that are hit, attached where they move.
+    """
+    flat, still = dr.detach(positions), dr.detach(lights)
+    with dr.suspend_grad():
+        planes = edges.planes(flat)
+        dr.eval(planes)
+        pair = dr.arange(mi.UInt32, edges.n_edges * lights.n)
+        light = pair // edges.n_edges
+        row = dr.gather(mi.Vector4u, edges.rows, pair - light * edges.n_edges)
+        ends = [dr.gather(mi.Point3f, flat, i) for i in (row.x, row.y)]
+        eye = still.fetch(light)
+        kind = dr.gather(mi.UInt32, edges.kind, pair - light * edges.n_edges)
+        to_light = Eyes.towards(eye, dr.lerp(ends[0], ends[1], 0.5))
+        # The angle under which the light sees the edge, or its width across parallel light.
+        weight = dr.norm(dr.cross(mi.Vector3f(ends[1] - ends[0]), dr.normalize(to_light)))
+        weight *= dr.select(eye.w > 0, dr.rcp(dr.maximum(dr.norm(to_light), 1e-12)), 1)
+        weight = dr.select(edges._turns(planes, row, eye) | (kind == 2), weight, 0)
+        dr.eval(weight)
+        pair, s, v, scale = drawn(weight, n_samples, seed)
+        light = pair // edges.n_edges
+        row = dr.gather(mi.Vector4u, edges.rows, pair - light * edges.n_edges)
+        weight = dr.gather(mi.Float, weight, pair)
+        ends = [dr.gather(mi.Point3f, flat, i) for i in (row.x, row.y)]
+        q, eye = dr.lerp(*ends, s), still.fetch(light)
+        onward = -dr.normalize(Eyes.towards(eye, q))
+        epsilon = mi.math.RayEpsilon * (1 + dr.max(dr.abs(q)))
+        ray = mi.Ray3f(mi.Point3f(dr.fma(onward, epsilon, mi.Vector3f(q))), mi.Vector3f(onward))
+        si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.Minimal, coherent=False, active=weight > 0)
+        hit = si.is_valid()
+        a, n = plane(si)
+        a, n = dr.detach(a), dr.detach(n)
+        r, slide = _shadow_point(q, eye, a, n)
+        edge = mi.Vector3f(ends[1] - ends[0])
+        # How r runs along the border: the edge's own direction, slid along the light into the plane.
+        along = slide(edge)
+        view = mi.UInt32(dr.minimum(v * projections.n_views, projections.n_views - 1))
+        shift = projections.shift(view, r, along)
+        length = dr.norm(shift)
+        film = projections.project(view, r)
+        h = projections.homogeneous(view, r)
+        valid = hit & (length > 1e-9) & (weight > 0) & (h.w > 1e-3) & projections.in_window(view, film.x, film.y)
+        valid &= dr.isfinite(length)
+        nx, ny = shift.y / dr.maximum(length, 1e-9), -shift.x / dr.maximum(length, 1e-9)
+        count = length * scale / dr.maximum(weight, 1e-30) * (projections.n_views * projections.share)
+        step = dr.maximum(_STEP * max(projections.width, projections.height), 4 * projections.step(view, h))
+    with dr.resume_grad():
+        moving = [dr.gather(mi.Point3f, positions, i) for i in (row.x, row.y)]
+        a, n = plane(si)
+        moved, _ = _shadow_point(dr.lerp(*moving, s), lights.fetch(light), a, n)
+        moved_film = projections.project(view, moved)
+        motion = dr.select(valid, moved_film.x * nx + moved_film.y * ny, 0)
+    return Crossings(
+        view=view,
+        x=film.x,
+        y=film.y,
+        nx=nx,
+        ny=ny,
+        weight=dr.select(valid, count, 0),
+        step=step,
+        p=mi.Point3f(r),
+        end0=mi.UInt32(MISS),
+        end1=mi.UInt32(MISS),
+        outline=mi.Bool(False),
+        motion=motion,
+    )
+
+
+def _shadow_point(q: mi.Point3f, eye: mi.Vector4f, a: mi.Point3f, n: mi.Vector3f):
+    """
+    Where a point's shadow falls on the plane through a, and how it moves where the point does, in first order.
+    """
+    d = -Eyes.towards(eye, q)  # along the light: q - l, or a constant
+    across = dr.dot(n, d)
+    across = dr.select(dr.abs(across) > 1e-20, across, 1e-20)
+    t = dr.dot(n, mi.Vector3f(a - q)) / across
+    r = mi.Point3f(dr.fma(d, t, mi.Vector3f(q)))
+
+    def slide(v: mi.Vector3f) -> mi.Vector3f:
+        # r = q + t d with d = q - l: dr = (1 + t w) dq + d dt, and n·dr = 0.
+        whole = v * dr.fma(t, eye.w, 1)
+        return whole - d * (dr.dot(n, whole) / across)
+
+    return r, slide
