@@ -10,10 +10,10 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import UserError
-from .crossings import Crossings
-from .projections import Projections, sensor_projections
-from .scene_edges import SceneEdges
-from .shadow_borders import sharp_lights, soft_lights
+from .visibility.crossings import Crossings
+from .visibility.projections import Projections, sensor_projections
+from .visibility.scene_edges import SceneEdges
+from .visibility.shadow_borders import sharp_lights, soft_lights
 
 log = logging.getLogger("mi_simplify")
 

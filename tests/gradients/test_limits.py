@@ -107,40 +107,51 @@ def test_mesh_moving_inside_an_instance_raises():
         _backward(scene, key)
 
 
-@pytest.mark.parametrize("changes", [{"type": "orthographic"}, {"type": "thinlens", "aperture_radius": 0.1}])
-def test_other_sensors_raise_where_geometry_moves(changes):
-    sensor = _sensor(**changes)
-    if sensor["type"] == "orthographic":
-        del sensor["fov"]
+def test_sensors_without_a_film_plane_are_refused_by_name():
+    sensor = {
+        "type": "radiancemeter",
+        "id": "meter",
+        "origin": [0, 0, -3],
+        "direction": [0, 0, 1],
+        "film": _film(width=1, height=1),
+    }
     scene = _scene(sensor, mesh=_mesh())
-    with pytest.raises(UserError, match="use a `perspective` sensor"):
+    with pytest.raises(UserError, match="sensor 'meter' .*RadianceMeter.* use `perspective`, `thinlens`"):
         _backward(scene, f"mesh.{POSITIONS}")
     params = _backward(_scene(sensor, mesh=_mesh()), "mesh.bsdf.roughness.value")  # textures move no edge
     assert np.isfinite(dr.grad(params["mesh.bsdf.roughness.value"]).numpy()).all()
 
 
-def test_shifted_principal_point_raises():
-    scene = _scene(_sensor(principal_point_offset_x=0.2), mesh=_mesh())
-    with pytest.raises(UserError, match="principal point"):
+def test_rectangle_stands_still_beside_a_moving_mesh():
+    """Mitsuba calls it a mesh; it has no vertices."""
+    scene = _scene(floor={"type": "rectangle"}, mesh=_mesh())
+    params = _backward(scene, f"mesh.{POSITIONS}")
+    assert np.abs(dr.grad(params[f"mesh.{POSITIONS}"]).numpy()).max() > 0
+
+
+@pytest.mark.parametrize("kind", ["rectangle", "disk", "cylinder"])
+def test_moving_shapes_that_are_no_meshes_are_named(kind):
+    scene = _scene(floor={"type": kind}, mesh=_mesh())
+    _, to_world = _shifted(mi.traverse(scene)["floor.to_world"].matrix)
+    with pytest.raises(UserError, match="'floor' is no triangle mesh"):
+        _backward(scene, "floor.to_world", to_world)
+
+
+def test_shadows_of_soft_lights_warn_once(caplog):
+    scene = _scene(integrator={"shadows": True}, mesh=_mesh(), sky={"type": "constant"})
+    with caplog.at_level(logging.WARNING, "mi_simplify"):
         _backward(scene, f"mesh.{POSITIONS}")
-
-
-def test_film_beyond_its_border_raises():
-    film = _film(sample_border=True, rfilter={"type": "gaussian"})
-    scene = _scene(_sensor(film=film), mesh=_mesh())
-    with pytest.raises(UserError, match="sample_border"):
         _backward(scene, f"mesh.{POSITIONS}")
+    assert [r.message for r in caplog.records] == [
+        "direct_edge: derivatives of the shadows of sky are not computed; they are constants"
+    ]
 
 
-@pytest.mark.parametrize("key", [f"mesh.{POSITIONS}", "light.position"])
-def test_moving_shadows_warn_once(caplog, key):
+def test_sharp_shadows_do_not_warn(caplog):
     scene = _scene(integrator={"shadows": True}, mesh=_mesh())
     with caplog.at_level(logging.WARNING, "mi_simplify"):
-        _backward(scene, key)
-        _backward(scene, key)
-    assert [r.message for r in caplog.records].count(
-        "direct_edge: derivatives of shadow borders are not computed; shadows are constants"
-    ) == 1
+        _backward(scene, f"mesh.{POSITIONS}")
+    assert not caplog.records
 
 
 def test_still_shadows_do_not_warn(caplog):

@@ -13,9 +13,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..machine.upload import upload
+from ...machine.upload import upload
 from .crossings import Crossings, drawn
-from .gbuffer import MISS
 from .projections import Projections
 
 #: Either side is looked at where the cosine between normal and viewer has changed by this much: float32 resolves it.
@@ -33,13 +32,16 @@ class Horizon:
     ----------
     faces : ndarray, shape (F, 3)
         Vertices, of positions and normals alike.
+    welded : ndarray, shape (F, 3)
+        The same corners as welded positions.
     """
 
     faces: mi.Vector3u
+    welded: mi.Vector3u
     n_faces: int
 
-    def __init__(self, faces: np.ndarray):
-        self.faces, self.n_faces = upload(mi.Vector3u, faces), len(faces)
+    def __init__(self, faces: np.ndarray, welded: np.ndarray):
+        self.faces, self.welded, self.n_faces = upload(mi.Vector3u, faces), upload(mi.Vector3u, welded), len(faces)
 
     def sample(
         self, positions: mi.Float, normals: mi.Float, projections: Projections, n_samples: int, seed: mi.UInt32
@@ -56,7 +58,7 @@ class Horizon:
             pair = dr.arange(mi.UInt32, self.n_faces * projections.n_views)
             view = pair // self.n_faces
             face = self._corners(flat_p, flat_n, projections, view, pair - view * self.n_faces)
-            weight = dr.select(face.crosses & face.visible, dr.maximum(face.extent, 1e-3), 0)
+            weight = dr.select(face.crosses & face.visible, dr.maximum(face.chord, 1e-4), 0)
             dr.eval(weight)
             pair, u, v, scale = drawn(weight, n_samples, seed)
             view = pair // self.n_faces
@@ -83,8 +85,8 @@ class Horizon:
                 weight=dr.select(valid, scale / weight * length * projections.share, 0),
                 step=dr.minimum(step, _LARGEST_STEP),
                 p=p,
-                end0=mi.UInt32(MISS),
-                end1=mi.UInt32(MISS),
+                end0=dr.gather(mi.UInt32, self.welded.x, index),
+                end1=dr.gather(mi.UInt32, self.welded.y, index),
                 outline=mi.Bool(False),
                 motion=dr.select(valid, motion, 0),
             )
@@ -164,9 +166,45 @@ class _Face:
         pick = lambda i: dr.select(k == 0, array[i], dr.select(k == 1, array[(i + 1) % 3], array[(i + 2) % 3]))  # noqa: E731
         return [pick(i) for i in range(3)]
 
+    def _odd_corner(self) -> tuple[mi.UInt32, mi.Bool]:
+        """The corner whose sign differs from those of the others, and whether there is one."""
+        plus = [self.a[i, i] > 0 for i in range(3)]
+        last = dr.select(plus[2] == plus[0], mi.UInt32(1), mi.UInt32(2))
+        return dr.select(plus[1] == plus[2], mi.UInt32(0), last), (plus[0] != plus[1]) | (plus[1] != plus[2])
+
+    def _ends(self, k: mi.UInt32) -> tuple[mi.Float, mi.Float]:
+        """Where the curve cuts the two sides at the odd corner k, as fractions of them."""
+        d = self._turned([self.a[0, 0], self.a[1, 1], self.a[2, 2]], k)
+        e = self._turned([self.a[1, 2], self.a[0, 2], self.a[0, 1]], k)
+        return _root(d[0], e[2], d[1]), _root(d[0], e[1], d[2])
+
+    @property
+    def chord(self) -> mi.Float:
+        """About the length of the curve on the film: of its chord where it cuts two sides [pixels]."""
+        k, is_odd = self._odd_corner()
+        s1, s2 = self._ends(k)
+        h = self._turned(self.h, k)
+        film = [
+            mi.Point2f(q.x, q.y) / dr.maximum(q.z, _NEAR) for q in (dr.lerp(h[0], h[1], s1), dr.lerp(h[0], h[2], s2))
+        ]
+        # Not less than a part of the face: where the curve bends it is longer.
+        return dr.select(is_odd, dr.maximum(dr.norm(film[1] - film[0]), 0.05 * self.extent), self.extent)
+
+    def _along_chord(self, k: mi.UInt32, is_odd: mi.Bool, tau: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """
+        The line from corner k through the point of the curve's chord at fraction tau, and its derivative by tau.
+
+        Lines spread evenly over the opposite side would nearly all miss a curve that runs close along a side.
+        """
+        s1, s2 = self._ends(k)
+        a, b = (1 - tau) * s1, tau * s2
+        sum_ = dr.maximum(a + b, 1e-20)
+        by_tau = s1 * s2 / dr.square(sum_)
+        return dr.select(is_odd, b / sum_, tau), dr.select(is_odd, by_tau, 1)
+
     def point(self, u: mi.Float, v: mi.Float):
         """
-        A point of the curve on the line from a corner to the point of the opposite side at fraction u.
+        A point of the curve on a line from a corner to the opposite side, at fraction u of the curve's chord.
 
         The corner is the one whose sign differs from the others', which every such line leaves towards the other sign.
         Where a line meets the curve twice, v chooses.
@@ -185,8 +223,8 @@ class _Face:
         turn : mi.Float
             Length of normal times that of the vector to the viewer: what the conic is divided by to be a cosine.
         """
-        plus = [self.a[i, i] > 0 for i in range(3)]
-        k = dr.select(plus[1] == plus[2], mi.UInt32(0), dr.select(plus[2] == plus[0], mi.UInt32(1), mi.UInt32(2)))
+        k, is_odd = self._odd_corner()
+        u, du = self._along_chord(k, is_odd, u)
         # The conic along b = (1 - s, s(1 - u), s u), in the order of corners that begins with the odd one.
         d = self._turned([self.a[0, 0], self.a[1, 1], self.a[2, 2]], k)
         e = self._turned([self.a[1, 2], self.a[0, 2], self.a[0, 1]], k)  # opposite to each corner
@@ -220,7 +258,7 @@ class _Face:
         x, y = h.x / h.z, h.y / h.z
         jx, jy = ([(getattr(q, axis) - at * q.z) / h.z for q in self.h] for axis, at in (("x", x), ("y", y)))
         dx, dy = (sum(j[i] * along[i] for i in range(3)) for j in (jx, jy))
-        length = dr.sqrt(dr.square(dx) + dr.square(dy))
+        length = du * dr.sqrt(dr.square(dx) + dr.square(dy))
         # Gradient of the conic on the film: J^-T of that over the two free barycentrics.
         m = [jx[1] - jx[0], jx[2] - jx[0], jy[1] - jy[0], jy[2] - jy[0]]
         g1, g2 = slopes[1] - slopes[0], slopes[2] - slopes[0]
@@ -235,3 +273,17 @@ class _Face:
         v_ = self.v[0] * c[0] + self.v[1] * c[1] + self.v[2] * c[2]
         turn = dr.norm(n) * dr.norm(v_)
         return b, found, length * dr.select(both, 2, 1), gx / slope, gy / slope, slope, turn
+
+
+def _root(g0: mi.Float, mid: mi.Float, g1: mi.Float) -> mi.Float:
+    """
+    The zero in (0, 1) of the quadratic with these control values, whose ends differ in sign.
+    """
+    a, b = g0 - 2 * mid + g1, 2 * (mid - g0)
+    root = dr.safe_sqrt(dr.square(b) - 4 * a * g0)
+    root = dr.select(g0 > 0, root, -root)
+    # (-b - root) / 2a = 2 g0 / (-b + root): the one of the two forms that does not cancel.
+    low, high = root - b, -root - b
+    by_g0 = 2 * g0 / dr.select(low != 0, low, 1)
+    by_a = high / dr.select(a != 0, 2 * a, 1)
+    return dr.clip(dr.select(dr.abs(low) >= dr.abs(high), by_g0, by_a), 0, 1)

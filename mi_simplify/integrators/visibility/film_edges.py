@@ -10,9 +10,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..machine.upload import upload
+from ...machine.upload import upload
+from ..edges import CREASE, OPEN, EdgeTable
 from .crossings import Crossings, Eyes, drawn
-from .edges import CREASE, OPEN, EdgeTable
 from .projections import Projections
 
 #: Samples a pixel of crease gets for one that a pixel of silhouette gets: jumps there are small.
@@ -64,7 +64,7 @@ class FilmEdges:
         touch = [(c == end0) | (c == end1) for c in corners]
         return (touch[0] | touch[1] | touch[2]) & exists
 
-    def _turns(self, planes: mi.Float, row: mi.Vector4u, eye: mi.Vector4f) -> mi.Bool:
+    def turns(self, planes: mi.Float, row: mi.Vector4u, eye: mi.Vector4f) -> mi.Bool:
         """
         Whether one face of an edge is seen from the front and the other from the back, from a homogeneous point.
         """
@@ -144,11 +144,11 @@ class FilmEdges:
         kind = dr.gather(mi.UInt32, self.kind, s.edge)
         o, f = projections.fetch(s.view, 0), projections.fetch(s.view, 1)
         eye = dr.select(o.w > 0, mi.Vector4f(-f.x, -f.y, -f.z, 0), mi.Vector4f(o.x, o.y, o.z, 1))
-        outline = self._turns(planes, s.row, eye) | (kind == OPEN)
+        outline = self.turns(planes, s.row, eye) | (kind == OPEN)
         inside = kind == CREASE
         if lights is not None:
             for k in range(lights.n):
-                inside |= self._turns(planes, s.row, lights.fetch(mi.UInt32(k)))
+                inside |= self.turns(planes, s.row, lights.fetch(mi.UInt32(k)))
         return dr.select(outline, mi.Float(1), dr.select(inside, mi.Float(_CREASE_WEIGHT), 0)), outline
 
     def _segment(self, positions: mi.Float, projections: Projections, view: mi.UInt32, edge: mi.UInt32) -> _Segment:

@@ -10,17 +10,14 @@ from collections.abc import Callable
 import drjit as dr
 import mitsuba as mi
 
+from ..edges import OPEN
 from .crossings import Crossings, Eyes, drawn
 from .film_edges import FilmEdges
-from .gbuffer import MISS
 from .projections import Projections
 
 #: Either side of a border is looked at this far off [fraction of the film's larger side]: shadow rays start about a
 #: ten-thousandth of the coordinates off the surface, which shifts the border itself by as much.
 _STEP = 3e-4
-
-#: A receiver's plane: a point of it and its normal, of hits on faces.
-Plane = Callable[[mi.SurfaceInteraction3f], tuple[mi.Point3f, mi.Vector3f]]
 
 
 def sharp_lights(scene: mi.Scene) -> Eyes | None:
@@ -60,7 +57,7 @@ def sample_borders(
     lights: Eyes,
     projections: Projections,
     scene: mi.Scene,
-    plane: Plane,
+    plane: Callable[[mi.SurfaceInteraction3f], tuple[mi.Point3f, mi.Vector3f, list[mi.UInt32]]],
     n_samples: int,
     seed: mi.UInt32,
 ) -> Crossings:
@@ -76,7 +73,7 @@ def sample_borders(
     positions : mi.Float, width P·3
         Welded positions, attached where they move.
     plane : callable
-        Plane of the faces that are hit, attached where they move.
+        A point and the normal of the plane that is hit, attached where that moves, and two corners of the face.
     """
     flat, still = dr.detach(positions), dr.detach(lights)
     with dr.suspend_grad():
@@ -92,7 +89,7 @@ def sample_borders(
         # The angle under which the light sees the edge, or its width across parallel light.
         weight = dr.norm(dr.cross(mi.Vector3f(ends[1] - ends[0]), dr.normalize(to_light)))
         weight *= dr.select(eye.w > 0, dr.rcp(dr.maximum(dr.norm(to_light), 1e-12)), 1)
-        weight = dr.select(edges._turns(planes, row, eye) | (kind == 2), weight, 0)
+        weight = dr.select(edges.turns(planes, row, eye) | (kind == OPEN), weight, 0)
         dr.eval(weight)
         pair, s, v, scale = drawn(weight, n_samples, seed)
         light = pair // edges.n_edges
@@ -105,7 +102,7 @@ def sample_borders(
         ray = mi.Ray3f(mi.Point3f(dr.fma(onward, epsilon, mi.Vector3f(q))), mi.Vector3f(onward))
         si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.Minimal, coherent=False, active=weight > 0)
         hit = si.is_valid()
-        a, n = plane(si)
+        a, n, receiver = plane(si)
         a, n = dr.detach(a), dr.detach(n)
         r, slide = _shadow_point(q, eye, a, n)
         edge = mi.Vector3f(ends[1] - ends[0])
@@ -123,7 +120,7 @@ def sample_borders(
         step = dr.maximum(_STEP * max(projections.width, projections.height), 4 * projections.step(view, h))
     with dr.resume_grad():
         moving = [dr.gather(mi.Point3f, positions, i) for i in (row.x, row.y)]
-        a, n = plane(si)
+        a, n, _ = plane(si)
         moved, _ = _shadow_point(dr.lerp(*moving, s), lights.fetch(light), a, n)
         moved_film = projections.project(view, moved)
         motion = dr.select(valid, moved_film.x * nx + moved_film.y * ny, 0)
@@ -136,8 +133,8 @@ def sample_borders(
         weight=dr.select(valid, count, 0),
         step=step,
         p=mi.Point3f(r),
-        end0=mi.UInt32(MISS),
-        end1=mi.UInt32(MISS),
+        end0=receiver[0],
+        end1=receiver[1],
         outline=mi.Bool(False),
         motion=motion,
     )

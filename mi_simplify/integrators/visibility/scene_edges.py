@@ -10,15 +10,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import UserError
-from ..machine.meshes import NORMALS, POSITIONS, mesh_faces, mesh_positions
-from ..machine.upload import upload
-from ..model.topology import weld
+from ...errors import UserError
+from ...machine.meshes import NORMALS, POSITIONS, mesh_faces, mesh_positions
+from ...machine.upload import upload
+from ...model.topology import weld
+from ..edge_rays import AT_EDGE
+from ..edges import edge_table
+from ..gbuffer import MISS
 from .crossings import Crossings, Eyes
-from .edge_rays import AT_EDGE
-from .edges import edge_table
 from .film_edges import FilmEdges
-from .gbuffer import MISS
 from .horizon import Horizon
 from .projections import Projections
 from .shadow_borders import sample_borders
@@ -59,7 +59,7 @@ class SceneEdges:
             keys = np.concatenate([k + o for (_, k), o in zip(tables, key_offset, strict=True)])
             all_faces = np.concatenate(faces)
             self.edges = FilmEdges(edge_table(all_faces, keys), all_faces)
-            self._find_horizon()
+            self._find_horizon(faces)
         self._first = [upload(mi.UInt32, g) for g in gather]
         # By the number that Dr.Jit's registry gives a shape, as hits carry it.
         numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(s))[0]) for s in self._shapes]
@@ -71,14 +71,16 @@ class SceneEdges:
         """Whether the topology is that of this scene."""
         return {id(s) for s in self._shapes + self._others} == {id(s) for s in scene.shapes()}
 
-    def _find_horizon(self) -> None:
+    def _find_horizon(self, welded: list[np.ndarray]) -> None:
         """
         The faces whose shading may jump where their interpolated normal turns away from the viewer.
         """
-        self._bent = [m for m in self._shapes if m.has_vertex_normals() and _turns_black(m)]
+        bent = [k for k, m in enumerate(self._shapes) if m.has_vertex_normals() and _turns_black(m)]
+        self._bent = [self._shapes[k] for k in bent]
         if self._bent:
             first = np.cumsum([0] + [m.vertex_count() for m in self._bent[:-1]])
-            self.horizon = Horizon(np.concatenate([mesh_faces(m) + k for m, k in zip(self._bent, first, strict=True)]))
+            corners = [mesh_faces(m) + k for m, k in zip(self._bent, first, strict=True)]
+            self.horizon = Horizon(np.concatenate(corners), np.concatenate([welded[k] for k in bent]))
 
     def _face(self, si: mi.SurfaceInteraction3f) -> mi.UInt32:
         """
@@ -126,14 +128,17 @@ class SceneEdges:
             yield self.horizon.sample(*arrays, projections, n // 2, seed + 0x632BE5AB)
         if lights is not None:
 
-            def plane(si: mi.SurfaceInteraction3f) -> tuple[mi.Point3f, mi.Vector3f]:
+            def plane(si: mi.SurfaceInteraction3f) -> tuple[mi.Point3f, mi.Vector3f, list[mi.UInt32]]:
                 return self._plane(si, positions)
 
             yield sample_borders(self.edges, positions, lights, projections, scene, plane, n // 2, seed + 0x2545F491)
 
-    def _plane(self, si: mi.SurfaceInteraction3f, positions: mi.Float) -> tuple[mi.Point3f, mi.Vector3f]:
+    def _plane(
+        self, si: mi.SurfaceInteraction3f, positions: mi.Float
+    ) -> tuple[mi.Point3f, mi.Vector3f, list[mi.UInt32]]:
         """
-        A point and the normal of the plane that is hit; attached on our meshes where these move.
+        A point and the normal of the plane that is hit, attached on our meshes where these move, and two corners of the
+        face (:data:`MISS` on other shapes).
         """
         assert self.edges is not None
         face = self._face(si)
@@ -141,7 +146,8 @@ class SceneEdges:
         index = [dr.gather(mi.UInt32, c, face, ours) for c in self.edges.faces]
         a, b, c = (dr.gather(mi.Point3f, positions, i, ours) for i in index)
         n = dr.cross(b - a, c - a)
-        return dr.select(ours, a, dr.detach(si.p)), dr.select(ours, n, mi.Vector3f(dr.detach(si.n)))
+        corners = [dr.select(ours, i, MISS) for i in index[:2]]
+        return dr.select(ours, a, dr.detach(si.p)), dr.select(ours, n, mi.Vector3f(dr.detach(si.n))), corners
 
     def _refuse_moving_groups(self, scene: mi.Scene) -> None:
         """

@@ -10,7 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import UserError
+from ...errors import UserError
+from ...machine.upload import upload
 
 #: Points of the aperture that the edges are looked at from; drawn anew for every image, one in each cell of a grid.
 _APERTURE_SIDE = 8
@@ -142,32 +143,32 @@ def sensor_projections(sensor: mi.Sensor, seed: int = 0) -> Projections:
             " use `perspective`, `thinlens`, `orthographic`, or a `batch` of them"
         )
     step = int(size[0]) // len(names)
-    rows: list[mi.Float] = []
-    shares = []
+    packets, counts = [], []
     for k, name in enumerate(names):
         window = [max(low[0], k * step) if k else low[0], low[1], high[0], high[1]]
         if k + 1 < len(names):
             window[2] = min(high[0], float((k + 1) * step))
-        views = _views(params, name, step if len(names) > 1 else int(size[0]), int(size[1]), seed)
-        shares.append(1 / len(views))
-        for o, f, r, u in views:
-            rows += [*o, *f, 0.0, *r[:3], r[3] + k * step, *u, *window]
-    if len(set(shares)) > 1:
+        rows, n = _views(params, name, step if len(names) > 1 else int(size[0]), int(size[1]), seed)
+        rows[2][3] = rows[2][3] + k * step
+        columns = [mi.Float(c) + dr.zeros(mi.Float, n) for row in (*rows, window) for c in row]
+        packets.append(dr.ravel(mi.ArrayXf(columns)))
+        counts.append(n)
+    if len(set(counts)) > 1:
         raise UserError("direct_edge: a `batch` of `thinlens` and other sensors has no visibility gradient here")
-    packets = dr.ravel(mi.ArrayXf([mi.Float(x) for x in rows])) if rows else mi.Float(0)
-    return Projections(packets, len(rows) // (4 * _ROWS), int(size[0]), int(size[1]), shares[0])
+    all_packets = packets[0] if len(packets) == 1 else dr.concat(packets)
+    return Projections(all_packets, sum(counts), int(size[0]), int(size[1]), 1 / counts[0])
 
 
-def _views(params: mi.SceneParameters, name: str, width: int, height: int, seed: int) -> list[tuple]:
+def _views(params: mi.SceneParameters, name: str, width: int, height: int, seed: int) -> tuple[list[list], int]:
     """
-    ``(o, is parallel), F, (R, xc), (U, yc)`` of one sensor, once for every point of its aperture.
+    The first four packets of one sensor's views, by their components, and how many views there are.
     """
     to_world = mi.Matrix4f(params[name + "to_world"].matrix)
     c0, c1, c2, c3 = (mi.Vector3f(to_world[0, k], to_world[1, k], to_world[2, k]) for k in range(4))
     xc, yc = mi.Float(width / 2), mi.Float(height / 2)
     if name + "x_fov" not in params:
         r, u = -c0 * (2 / width), -c1 * (2 / width)  # Mitsuba's camera x axis points left on the image
-        return [((*c3, 1.0), tuple(dr.normalize(c2)), (*r, xc), (*u, yc))]
+        return [[*c3, 1.0], [*dr.normalize(c2), 0.0], [*r, xc], [*u, yc]], 1
     left, up, forward = (dr.normalize(c) for c in (c0, c1, c2))
     tan_x = dr.tan(dr.deg2rad(mi.Float(params[name + "x_fov"])) * 0.5)
     r, u = -left * (2 / width * tan_x), -up * (2 / width * tan_x)
@@ -176,13 +177,11 @@ def _views(params: mi.SceneParameters, name: str, width: int, height: int, seed:
         xc -= mi.Float(params[name + "principal_point_offset_x"]) * width
         yc -= mi.Float(params[name + "principal_point_offset_y"]) * height
     if name + "aperture_radius" not in params:
-        return [((*c3, 0.0), tuple(forward), (*r, xc), (*u, yc))]
+        return [[*c3, 0.0], [*forward, 0.0], [*r, xc], [*u, yc]], 1
     radius, focus = (mi.Float(params[name + key]) for key in ("aperture_radius", "focus_distance"))
-    out = []
-    for a, b in _aperture_points(seed):
-        place = (left * a + up * b) * radius
-        out.append(((*(c3 + place), 0.0), tuple(forward - place / focus), (*r, xc), (*u, yc)))
-    return out
+    points = upload(mi.Point2f, _aperture_points(seed))
+    place = (left * points.x + up * points.y) * radius
+    return [[*(c3 + place), 0.0], [*(forward - place / focus), 0.0], [*r, xc], [*u, yc]], dr.width(points)
 
 
 def _aperture_points(seed: int) -> np.ndarray:
