@@ -32,7 +32,8 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
 
      * - shadows
        - |bool|
-       - Test the visibility of emitters. The derivative of shadow borders is *not* computed. (Default: false)
+       - Test the visibility of emitters. Derivatives of shadow borders are those of point, spot and directional lights;
+         of area lights and environments they are *not* computed. (Default: false)
      * - layers
        - |int|
        - Surfaces that a camera ray meets where their opacity is below 1, front to back; what is behind the last one is
@@ -51,12 +52,20 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
     One emitter sample per camera sample: exact for point, directional and spot lights, noisy for
     area lights and environments. Derivatives by all texture, BSDF and emitter parameters, by vertex positions
     and by the camera: interior ones by automatic differentiation along the fixed ray, those of visibility by samples
-    on silhouettes, open and non-manifold edges, hard creases and chart borders, found on *welded* positions. Works
-    with any reconstruction filter and any number of layers.
+    on all curves of the film that the image jumps across:
+
+    * silhouettes, open and non-manifold edges, hard creases and chart borders, found on *welded* positions (Li et al.
+      2018);
+    * inside faces, the curve where the interpolated normal turns away from the viewer: there Mitsuba's BSDFs and area
+      emitters turn black (`ggx_gamma` does not, and is spared);
+    * borders of the shadows of point, spot and directional lights.
+
+    Sensors: `perspective` with any principal point, `thinlens`, `orthographic`, `batch` of them; crop windows,
+    `sample_border`, any reconstruction filter, any number of layers. Shapes that are no triangle meshes stand still.
 
     Raises, when a derivative is asked for, where it would be wrong: moving shapes that are no triangle meshes
-    (instances too), sensors other than `perspective`. BSDFs that turn black where the *shading* normal
-    faces away have a jump inside the surface that no edge sample sees; use `ggx_gamma`, which has none.
+    (instances too), a moving camera before them, other sensors. Not seen: jumps where a *normal or bump map* over
+    Mitsuba's own BSDFs turns normals away, lines along which surfaces cut through each other, borders of cut-outs.
 
     .. code-block:: python
 
@@ -223,6 +232,8 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         """
         Add jumps to a block: zeros whose derivative is the jump times the motion of the curve.
         """
+        edges = self._edges
+        assert edges is not None  # which the crossing is from
         with dr.suspend_grad():
             n = dr.width(c.x)
             depth = dr.norm(projections.towards(c.view, c.p))
@@ -237,7 +248,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 origin, direction = projections.ray(c.view, c.x + s * c.nx, c.y + s * c.ny)
                 ray = mi.RayDifferential3f(origin, direction)
                 ray.wavelengths = wavelengths
-                at_edge = lambda si: self._edges.at_crossing(si, c, depth)  # noqa: E731
+                at_edge = lambda si: edges.at_crossing(si, c, depth)  # noqa: E731
                 radiance, _, (coverage,), meets = self.sample(dr.ADMode.Primal, scene, sampler, ray, at_edge=at_edge)
                 sides.append([*(radiance * weight), coverage])
                 met.append(meets)

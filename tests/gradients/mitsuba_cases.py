@@ -58,6 +58,10 @@ def _cone() -> dict:
     }
 
 
+def _shadow(light: dict, receiver: dict) -> MitsubaScene:
+    return MitsubaScene(_DIFFUSE, light=light, others=receiver, smooth=False, shadows=True)
+
+
 _CROP = {"crop_offset_x": 7, "crop_offset_y": 6, "crop_width": 23, "crop_height": 17}
 _ROUGH = {"type": "principled", "base_color": _COLOUR, "roughness": 0.6}
 _BRIGHT = {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 2.0, 1.5]}}
@@ -85,12 +89,8 @@ CASES: dict[str, Callable[[], MitsubaScene]] = {
         _DIFFUSE, sensor=camera("thinlens", aperture_radius=0.15, focus_distance=2.2), others=_wall()
     ),
     "batch of two": lambda: MitsubaScene(_DIFFUSE, sensor=_batch()),
-    "shadow of a point light": lambda: MitsubaScene(
-        {"type": "ggx_gamma"}, light=_near_light(), others=_wall(), shadows=True
-    ),
-    "shadow on a rectangle": lambda: MitsubaScene(_DIFFUSE, light=_near_light(), others=_floor(), shadows=True),
-    "shadow of a directional light": lambda: MitsubaScene(
-        {"type": "ggx_gamma"}, light=_sun(), others=_wall(), shadows=True
-    ),
-    "shadow of a spot light": lambda: MitsubaScene({"type": "ggx_gamma"}, light=_cone(), others=_wall(), shadows=True),
+    "shadow of a point light": lambda: _shadow(_near_light(), _wall()),
+    "shadow on a rectangle": lambda: _shadow(_near_light(), _floor()),
+    "shadow of a directional light": lambda: _shadow(_sun(), _wall()),
+    "shadow of a spot light": lambda: _shadow(_cone(), _wall()),
 }

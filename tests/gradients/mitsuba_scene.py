@@ -6,6 +6,9 @@ A smooth ball floats before whatever else a scene holds; its vertices move, or t
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -57,21 +60,21 @@ class MitsubaScene:
     bsdf : dict
         Of the ball.
     sensor, light, emitter : dict, optional
-        ``emitter`` is of the ball.
+        ``emitter`` is of the ball; ``light`` False is none.
     others : dict, optional
         More shapes.
+    smooth : bool
+        Interpolated normals. Without them a face that turns away from the light gets dark gradually; with them all at
+        once, and a difference sees a jump that no derivative has.
     integrator : dict
         Options of `direct_edge`.
     """
 
-    def __init__(self, bsdf, *, sensor=None, light=None, emitter=None, others=None, size=(16, 11), **integrator):
-        mesh = meshes.sphere(*size, radius=0.8)
+    def __init__(self, bsdf, *, sensor=None, light=None, emitter=None, others=None, smooth=True, **integrator):
+        mesh = meshes.sphere(16, 11, radius=0.8)
         self._index = mesh.position_index
-        props = {"bsdf": mi.load_dict(bsdf)}
-        normals = mesh.normals()[mesh.normal_groups]
-        if emitter is not None:
-            props["emitter"] = mi.load_dict(emitter)
-        ball = make_mesh("ball", mesh.vertices, mesh.faces, normals, mesh.uvs, **({"bsdf": props["bsdf"]}))
+        normals = mesh.normals()[mesh.normal_groups] if smooth else None
+        ball = make_mesh("ball", mesh.vertices, mesh.faces, normals, mesh.uvs, mi.load_dict(bsdf))
         if emitter is not None:
             ball = _emitting(ball, emitter, bsdf)
         self.start: State = {"ball": mesh.positions.astype(np.float64)}
@@ -85,8 +88,8 @@ class MitsubaScene:
         self.params = mi.traverse(self.scene)
         if "light.position" in self.params:
             self.start["light"] = np.float64(self.params["light.position"].numpy()).reshape(3)
-        size = self.scene.sensors()[0].film().crop_size()
-        self.shape = (1, int(size[1]), int(size[0]), 4)
+        film = self.scene.sensors()[0].film().crop_size()
+        self.shape = (1, int(film[1]), int(film[0]), 4)
 
     def parameters(self) -> list[Parameter]:
         """
@@ -142,9 +145,6 @@ class MitsubaScene:
 
 def _emitting(ball: mi.Mesh, emitter: dict, bsdf: dict) -> dict:
     """The ball as a PLY file's mesh that emits: Mitsuba attaches emitters when it loads a shape."""
-    import tempfile
-    from pathlib import Path
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "ball.ply"
         ball.write_ply(str(path))
