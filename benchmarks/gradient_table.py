@@ -64,8 +64,8 @@ LIMITS = """## What is not covered
   turns the normal away, the image jumps inside a face. Without a map the curve is sampled. `ggx_gamma` has no jump.
 - **Shadow borders of area lights and environments** (`shadows: true`): visibility of the light is a constant. A warning
   says so once. Those of point, spot and directional lights are sampled.
-- **Smooth normals in shadow** (`shadows: true`): a face that turns away from the light while its interpolated normals are
-  still lit gets dark all at once, as Mitsuba renders it; a derivative has no such jump (1 % of one on a ball of 320 faces).
+- **Smooth normals in shadow** (`shadows: true`): a face that turns away from the light while its interpolated normals
+  are still lit gets dark all at once, in Mitsuba's own renderings as well; a derivative has no such jump.
 - **Area lights on moving smooth meshes**: what they throw onto other surfaces jumps where their normals face away.
 - **Normals along a face's ∂p/∂u** (at folds sharper than 90°, such as lines where three sheets meet): the tangent of
   the normal map flips where a vertex normal comes to lie there, so the image itself jumps with the position.

@@ -37,13 +37,6 @@ def test_slice(name):
     _check(name, ("growth",), spp=128, gradient_spp=32, rounds=(4, 8))
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-@pytest.mark.parametrize("name", CASES)
-def test_every_scene(name):
-    _check(name, spp=256, gradient_spp=32, rounds=(6, 120))
-
-
 _CROP = {"crop_offset_x": 10, "crop_offset_y": 5, "crop_width": 32, "crop_height": 20}
 SENSORS = {
     "perspective": {},

@@ -175,8 +175,9 @@ class FilmEdges:
             q = dr.lerp(h[0], h[1], s)
             iw = dr.rcp(dr.maximum(q.z, _NEAR))
             ends += [q.x * iw, q.y * iw, q.z]
-        length = dr.sqrt(dr.square(ends[3] - ends[0]) + dr.square(ends[4] - ends[1]))
-        return _Segment(view, edge, row, s0, s1, *ends, length, visible & (length > 1e-6))
+        x0, y0, w0, x1, y1, w1 = ends
+        length = dr.sqrt(dr.square(x1 - x0) + dr.square(y1 - y0))
+        return _Segment(view, edge, row, s0, s1, x0, y0, w0, x1, y1, w1, length, visible & (length > 1e-6))
 
 
 def _between(positions: mi.Float, row: mi.Vector4u, s: mi.Float) -> mi.Point3f:
