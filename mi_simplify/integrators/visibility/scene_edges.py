@@ -124,8 +124,8 @@ class SceneEdges:
         assert self.edges is not None
         yield self.edges.sample(positions, projections, n, seed, image, lights)
         if self.horizon is not None:
-            arrays = [_joined([mi.traverse(m)[key] for m in self._bent]) for key in (POSITIONS, NORMALS)]
-            yield self.horizon.sample(*arrays, projections, n // 2, seed + 0x632BE5AB)
+            bent, normals = (_joined([mi.traverse(m)[key] for m in self._bent]) for key in (POSITIONS, NORMALS))
+            yield self.horizon.sample(bent, normals, projections, n // 2, seed + 0x632BE5AB)
         if lights is not None:
 
             def plane(si: mi.SurfaceInteraction3f) -> tuple[mi.Point3f, mi.Vector3f, list[mi.UInt32]]:
