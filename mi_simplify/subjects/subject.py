@@ -216,7 +216,10 @@ def open_asset(name: str) -> Asset:
     """
     if name.startswith(SAMPLE_PREFIX):
         return sample_asset(name.removeprefix(SAMPLE_PREFIX))
-    return load_asset(name)
+    asset = load_asset(name)
+    for note in asset.notes:  # whatever the command, what it lost is told on the terminal
+        log.warning("%s: %s", Path(name).name, note)
+    return asset
 
 
 def with_kind(config: Config, geometry: Asset) -> Config:

@@ -366,3 +366,17 @@ def test_default_weights_of_morph_targets_are_applied(glb, tmp_path):
     np.testing.assert_allclose(asset.parts[1].vertices - QUAD, 3 * right)
     np.testing.assert_allclose(asset.parts[0].normals, np.tile(np.array([0, -1, 2]) / 5**0.5, (4, 1)), atol=1e-6)
     np.testing.assert_allclose(asset.parts[1].normals, [[0, 0, 1]] * 4)
+
+
+def test_everything_left_out_is_one_line(glb, tmp_path):
+    glb.mesh(glb.quad(glb.material(name="m", occlusionTexture={"index": glb.texture(corner_pixels())})))
+    glb.json["scenes"].append({"nodes": []})
+    glb.json["cameras"] = [{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]
+    glb.json["asset"]["copyright"] = "2026 A. Author"
+    glb.json["extensions"] = {"KHR_materials_variants": {"variants": [{"name": "red"}]}, "KHR_lights_punctual": {
+        "lights": [{"type": "point"}]}}  # fmt: skip
+    assert set(load_asset(glb.save(tmp_path / "a.glb")).notes) == {
+        "occlusion of material 'm' was left out", "1 further scenes were left out", "1 cameras were left out",
+        "material variants were left out; the default materials are used", "lights were left out",
+        "the copyright notice '2026 A. Author' is not carried over",
+    }  # fmt: skip

@@ -272,7 +272,7 @@ def test_bind_pose_follows_the_skeleton(stage):
 
 def test_what_is_left_out_is_noted(stage):
     quad(stage).CreateSubdivisionSchemeAttr("catmullClark")
-    UsdGeom.Sphere.Define(stage, "/World/Ball")
+    UsdGeom.BasisCurves.Define(stage, "/World/Ball")
     proxy = quad(stage, "/World/Proxy")
     proxy.CreatePurposeAttr("proxy")
     quad(stage, "/World/Hidden").MakeInvisible()
@@ -284,7 +284,7 @@ def test_what_is_left_out_is_noted(stage):
     assert asset.n_triangles == 3 and len(asset.parts) == 2
     notes = " | ".join(asset.notes)
     assert "'Quad' is a catmullClark surface; its control cage is used without subdivision" in notes
-    assert "'/World/Ball' was left out: a Sphere is no mesh" in notes
+    assert "'/World/Ball' was left out: a BasisCurves is no mesh" in notes
     assert "'/World/Proxy' was left out" in notes
     assert "material 'Other' has no UsdPreviewSurface" in notes
 
@@ -314,3 +314,34 @@ def test_broken_meshes(stage, changes, message):
     quad(stage, **changes)
     with pytest.raises(MeshError, match=message):
         load_asset(save(stage))
+
+
+@pytest.mark.parametrize(
+    ("kind", "volume", "height"),
+    [
+        ("Sphere", 4 / 3 * np.pi, 2), ("Cube", 8, 2), ("Cylinder", 2 * np.pi, 2), ("Cone", 2 / 3 * np.pi, 2),
+        ("Capsule", np.pi * 0.25 + 4 / 3 * np.pi * 0.125, 2),
+    ],
+)  # fmt: skip
+def test_solids_are_closed_and_face_outwards(stage, kind, volume, height):
+    solid = getattr(UsdGeom, kind).Define(stage, "/World/Solid")
+    if kind not in ("Sphere", "Cube"):
+        solid.CreateAxisAttr("Y")
+    UsdGeom.Gprim(solid).CreateDisplayColorAttr([(1, 0, 0)])
+    (part,) = load_asset(save(stage)).parts
+    p = part.vertices[part.faces]
+    found = np.einsum("fi,fi->", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6
+    assert 0.975 * volume < found < 1.0001 * volume
+    np.testing.assert_allclose(np.ptp(part.vertices[:, 1]), height, atol=1e-9)
+    facing = np.einsum("fi,fi->f", np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), part.normals[part.faces].mean(1))
+    assert facing.min() > 0
+    np.testing.assert_allclose(part.material.base_color[0, 0], [1, 0, 0, 1])
+
+
+def test_a_plane_stands_across_its_axis(stage):
+    plane = UsdGeom.Plane.Define(stage, "/World/Plane")
+    plane.CreateAxisAttr("X")
+    plane.CreateWidthAttr(4.0)
+    (part,) = load_asset(save(stage)).parts
+    np.testing.assert_allclose(np.ptp(part.vertices, axis=0), [0, 2, 4])
+    np.testing.assert_allclose(face_normals(part), [[1, 0, 0]] * 2)

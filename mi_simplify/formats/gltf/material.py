@@ -68,6 +68,8 @@ class _MaterialReader:
         for extension, meaning in _LEFT_OUT.items():
             if extension in extensions:
                 self._note(f"{meaning} of material '{self.name}' was left out")
+        if source.get("occlusionTexture"):
+            self._note(f"occlusion of material '{self.name}' was left out")
         if any(source.get("emissiveFactor") or ()):
             self._note(f"emission of material '{self.name}' was left out")
         return Material(

@@ -73,6 +73,7 @@ class _Scene:
             for placement in self._gpu_instances(node):
                 for part in self._parts_of(node["mesh"], node.get("weights")):
                     self._place(part, to_world @ placement, name, index)
+        self._note_left_out()
         notes = self.notes
         if all(part.skin is None for part in self.parts):
             if self.file.json.get("animations"):
@@ -82,6 +83,21 @@ class _Scene:
         is_rigid = [c is not None for c in self._carriers]
         parts, instances = renumbered(self.parts, self.instances, is_rigid, new, joints)
         return Asset(parts, instances, notes=tuple(notes), ambient=self._ambient(), rig=rig)
+
+    def _note_left_out(self) -> None:
+        """A line for everything in the file that has no counterpart here."""
+        json, note = self.file.json, self.file.resources.note
+        if len(json.get("scenes") or ()) > 1:
+            note(f"{len(json['scenes']) - 1} further scenes were left out")
+        if json.get("cameras"):
+            note(f"{len(json['cameras'])} cameras were left out")
+        extensions = json.get("extensions") or {}
+        if "KHR_materials_variants" in extensions:
+            note("material variants were left out; the default materials are used")
+        if (extensions.get("KHR_lights_punctual") or {}).get("lights"):
+            note("lights were left out")
+        if (json.get("asset") or {}).get("copyright"):
+            note(f"the copyright notice '{json['asset']['copyright']}' is not carried over")
 
     def _ambient(self) -> np.ndarray | None:
         """The light besides point lights that a model of ours was fitted under."""

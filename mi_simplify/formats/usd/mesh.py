@@ -19,6 +19,7 @@ from ..resources import Resources
 from ..triangulate import triangulate
 from ..validate import check_indices
 from .material import bound_material, display_material, material_path, read_usd_material
+from .primitives import primitive_mesh
 from .skeleton import Skeletons
 from .values import TIME, array
 
@@ -49,6 +50,9 @@ class Meshes:
         MeshError
             Face counts and indices that do not fit together.
         """
+        solid = primitive_mesh(prim)
+        if solid is not None:
+            return [self._solid(prim, *solid)]
         mesh, name, model = UsdGeom.Mesh(prim), prim.GetName(), self.resources.model.name
         points = array(mesh.GetPointsAttr().Get(TIME), np.float64, 3)
         counts = array(mesh.GetFaceVertexCountsAttr().Get(TIME), np.int64)
@@ -83,6 +87,25 @@ class Meshes:
         skin = None if query is None else self._skeletons.skin(prim, query, points)
         parts = [self._part(name, m, c, points, index, normals, reader, skin) for m, c in groups]
         return parts if len(parts) == 1 else [replace(p, name=f"{name}_{k}") for k, p in enumerate(parts)]
+
+    def _solid(self, prim: Usd.Prim, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Part:
+        """A sphere, cube, … of one colour: it has no texture coordinates."""
+        bound = bound_material(prim)
+        material, mapping, _ = self._material(bound)
+        if bound is None:
+            values = (
+                UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(n) for n in ("displayColor", "displayOpacity")
+            )
+            color, alpha = (array(v.Get(TIME), np.float64) if v and v.HasValue() else None for v in values)
+            material = display_material(
+                None if color is None or len(color) < 3 else color[:3],
+                None if alpha is None or not len(alpha) else alpha[0],
+            )
+        elif mapping is not None:
+            self.resources.note(f"'{prim.GetName()}' has textures but no texture coordinates; they show one texel")
+        if prim.GetAttribute("orientation").Get(TIME) == UsdGeom.Tokens.leftHanded:
+            faces, normals = faces[:, ::-1], -normals
+        return Part(vertices, faces, normals.astype(np.float32), material=material, name=prim.GetName())
 
     def _part(self, name, bound, corners, points, index, normals, reader, skin: Skin | None) -> Part:
         """Corners, shape (F, 3), of one material as a part."""

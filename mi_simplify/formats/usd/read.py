@@ -22,6 +22,7 @@ from ..validate import check_indices
 from .layers import LONGEST, check_layers, reason_of, rehearse
 from .material import bound_material, material_path
 from .mesh import Meshes
+from .primitives import TYPES
 from .skeleton import Skeletons
 from .values import TIME, VISITED, matrix
 
@@ -111,7 +112,7 @@ class _Stage:
             elif prim.IsA(UsdGeom.PointInstancer):
                 prims.PruneChildren()
                 self._point_instances(UsdGeom.PointInstancer(prim), to_world, depth)
-            elif prim.IsA(UsdGeom.Mesh):
+            elif prim.IsA(UsdGeom.Mesh) or prim.GetTypeName() in TYPES:
                 self._place(prim, to_world, depth)
             elif prim.IsA(UsdGeom.Gprim):
                 self.resources.note(f"'{prim.GetPath()}' was left out: a {prim.GetTypeName()} is no mesh")
