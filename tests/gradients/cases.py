@@ -150,6 +150,7 @@ def _variations() -> list[Case]:
         case("two objects, environment map", "two objects", emitter=_sky, matte=True),
         case("hides itself, area light", "hides itself", emitter=_lamp, matte=True),
         case("smooth, directional light", "smooth, seams", emitter=_sun),
+        case("smooth, Mitsuba's diffuse", "smooth, seams", _FEW[:5], bsdf={"type": "diffuse"}),
         case("two objects, 1 layer", "two objects", layers, effort=1 / 4, layers=1),
         case("two objects, 2 layers", "two objects", layers, effort=1 / 4, layers=2),
         case("open sheet, 8 layers", "open sheet", layers, effort=1 / 4, layers=8),
