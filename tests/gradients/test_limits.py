@@ -129,6 +129,20 @@ def test_rectangle_stands_still_beside_a_moving_mesh():
     assert np.abs(dr.grad(params[f"mesh.{POSITIONS}"]).numpy()).max() > 0
 
 
+def test_shapes_without_ids_in_a_file(tmp_path):
+    """Their parameters have made-up names; they are no instances for that."""
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><integrator type="direct_edge"/><sensor type="perspective">'
+        '<film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/></film></sensor>'
+        '<shape type="rectangle"/><shape type="cube"><transform name="to_world"><scale value="0.3"/>'
+        '<translate z="3"/></transform></shape><emitter type="constant"/></scene>'
+    )
+    scene = mi.load_file(str(tmp_path / "scene.xml"), optimize=False)
+    key = next(k for k in mi.traverse(scene).keys() if k.endswith(POSITIONS))  # noqa: SIM118
+    params = _backward(scene, key)
+    assert np.abs(dr.grad(params[key]).numpy()).max() > 0
+
+
 @pytest.mark.parametrize("kind", ["rectangle", "disk", "cylinder"])
 def test_moving_shapes_that_are_no_meshes_are_named(kind):
     scene = _scene(floor={"type": kind}, mesh=_mesh())

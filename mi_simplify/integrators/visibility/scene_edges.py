@@ -153,9 +153,10 @@ class SceneEdges:
         """
         Raise where a mesh moves that is in the scene only through instances.
         """
-        own = {f"{s.id()}.{POSITIONS}" for s in self._shapes}
+        # By the variable: shapes without an id in a file have other names here than in the scene's parameters.
+        own = {mesh_positions(s).index for s in self._shapes}
         for key, value in mi.traverse(scene):
-            if key.endswith("." + POSITIONS) and key not in own and dr.grad_enabled(value):
+            if key.endswith("." + POSITIONS) and dr.grad_enabled(value) and value.index not in own:
                 raise UserError(
                     f"direct_edge: '{key}' moves inside an instance, whose silhouette has no gradient here;"
                     " place the mesh itself in the scene"
