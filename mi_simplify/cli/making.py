@@ -18,12 +18,14 @@ from .options import (
     KEEP_UV,
     OUT,
     OVERWRITE,
+    PACKING,
     QUIET,
     RESUME,
     TENSORBOARD,
     VARIANT,
     animation,
     default_folder,
+    packing,
 )
 
 
@@ -45,6 +47,7 @@ from .options import (
 @OUT
 @click.option("--config", metavar="YAML", help="Settings to start from.")
 @JOB
+@PACKING
 @OVERWRITE
 @RESUME
 @TENSORBOARD
@@ -121,6 +124,7 @@ def lod(asset, triangles, out, config, preset, settings, threshold, msft_lod, us
 @click.argument("config")
 @OUT
 @JOB
+@PACKING
 @OVERWRITE
 @RESUME
 @TENSORBOARD
@@ -135,14 +139,15 @@ def run(config, out, settings, **options) -> None:
 
 def _run(
     config, out, overrides, *,
-    preset, variant, fixed_shape, normal_only, skip, memory_limit, tensorboard, dry_run, overwrite, resume, quiet,
+    preset, variant, fixed_shape, normal_only, skip, memory_limit, compress, no_tangents, tensorboard, dry_run,
+    overwrite, resume, quiet,
 ) -> None:  # fmt: skip
     from ..config import load_config, with_fixed
     from ..machine.memory import limited, parse_size
 
     chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
-    if tensorboard:
-        chosen["export"] = {"tensorboard": True}
+    packed = packing(compress, no_tangents)
+    chosen["export"] = ({"tensorboard": True} if tensorboard else {}) | ({"glb": packed} if packed else {})
     if normal_only:
         chosen["latent"] = {"optimize": ["normal"]}
     names = [name.strip() for text in skip for name in text.split(",")] + ["shape"] * fixed_shape

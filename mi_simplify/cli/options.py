@@ -36,6 +36,14 @@ JOB = combined(
     MEMORY,
     VARIANT,
 )
+PACKING = combined(
+    click.option(
+        "--compress",
+        type=click.Choice(["none", "quantize", "meshopt"]),
+        help="Geometry of the GLB file: exact, rounded to 8 and 16 bits, or compressed as well.",
+    ),
+    click.option("--no-tangents", is_flag=True, help="Leave tangents out of the GLB file: 16 bytes a vertex."),
+)
 KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")
 OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
 FRAMES = click.option(
@@ -54,6 +62,14 @@ def animation(frames: str | None, bind_pose_only: bool = False) -> dict[str, Any
     """
     out: dict[str, Any] = {} if frames is None else {"frames": frames}
     return out | ({"bind_pose_only": True} if bind_pose_only else {})
+
+
+def packing(compress: str | None, no_tangents: bool) -> dict[str, Any]:
+    """
+    What the options say of the GLB file.
+    """
+    out: dict[str, Any] = {} if compress is None else {"compress": compress}
+    return out | ({"tangents": False} if no_tangents else {})
 
 
 def default_folder(name: str) -> Path:

@@ -140,12 +140,28 @@ class EvaluationSettings(Section):
     )
 
 
+class GlbSettings(Section):
+    """How a GLB file is packed: what it holds is the same, how exactly and in how many bytes is not."""
+
+    compress: Literal["none", "quantize", "meshopt"] = Field(
+        "none",
+        description="Geometry: 32-bit floats; `quantize`: integers of 8 and 16 bits (KHR_mesh_quantization); `meshopt`:"
+        " those, compressed (EXT_meshopt_compression).",
+    )
+    tangents: bool = Field(
+        True,
+        description="Store MikkTSpace tangents where there is a normal map, 16 bytes a vertex; without them a viewer "
+        "makes its own.",
+    )
+
+
 class ExportSettings(Section):
     """What is written."""
 
     formats: Formats = Field(
         ("glb", "obj", "usd"), description="Model files to write: `glb`, `obj`, `usd`, or what an extension registers."
     )
+    glb: GlbSettings = GlbSettings()
     checkpoint: float = Field(
         30.0, ge=0, description="Seconds between two checkpoints, from which `--resume` goes on; 0: after every step."
     )

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ..config.schema import GlbSettings
 from ..formats.gltf.write import write_glb as write_glb
 from ..formats.load import load_asset
 from ..formats.obj.write import write_obj as write_obj
@@ -63,7 +64,12 @@ register_writer("usd", "model.usdc", _usd)
 
 
 def export_model(
-    model: Model, folder: str | Path, *, formats: Sequence[str] = ("glb", "obj", "usd"), extras: dict | None = None
+    model: Model,
+    folder: str | Path,
+    *,
+    formats: Sequence[str] = ("glb", "obj", "usd"),
+    extras: dict | None = None,
+    glb: GlbSettings = GlbSettings(),
 ) -> dict[str, Path]:
     """
     Write a model in several formats into one folder, which is created where it is missing.
@@ -79,6 +85,8 @@ def export_model(
     formats : sequence of {'glb', 'obj', 'usd'}, or what is registered
     extras : dict, optional
         Facts to keep with the file (transport, versions): strings and numbers.
+    glb : GlbSettings
+        How the GLB file is packed.
 
     Returns
     -------
@@ -105,7 +113,10 @@ def export_model(
     if model.mips:
         write_mips(model, make_folder(folder / "mips"))
     for name, path in paths.items():
-        WRITERS[name].write(model, path, extras)
+        if name == "glb":
+            write_glb(model, path, extras=extras, settings=glb)
+        else:
+            WRITERS[name].write(model, path, extras)
     return paths
 
 

@@ -33,7 +33,7 @@ def join_glb(files: Sequence[Path], sizes: Sequence[float], path: Path) -> Path:
     Parameters
     ----------
     files : sequence of Path
-        GLB of one node each, the finest first.
+        GLB of one node each, the finest first, not compressed.
     sizes : sequence of float
         Diameter of the bounding sphere up to which each level but the first is meant to be seen [pixels].
     path : Path
@@ -105,8 +105,10 @@ def _merged(one: dict, other: dict, offset: int) -> dict:
     joined = {**other, **one}
     for name in _LISTS:
         joined[name] = one.get(name, []) + shifted(other.get(name, []))
-    used = {*one.get("extensionsUsed", ()), *other.get("extensionsUsed", ())}
-    return joined | ({"extensionsUsed": sorted(used)} if used else {})
+    for name in ("extensionsUsed", "extensionsRequired"):
+        if both := {*one.get(name, ()), *other.get(name, ())}:
+            joined[name] = sorted(both)
+    return joined
 
 
 def join_usd(files: Sequence[str], sizes: Sequence[float], bounds, path: Path) -> Path:

@@ -147,6 +147,10 @@ def lod_job(
         RunFolder(out / f"lod{k}", overwrite=overwrite)  # what is in the way is said before anything is done
     formats = ["glb", *(["usd"] if "usd" in extras else [])]
     config = configure({"export": {"formats": formats}})
+    if "msft_lod" in extras and config.export.glb.compress == "meshopt":
+        raise ConfigError(
+            "--msft-lod joins files that are not compressed; leave it out, or set export.glb.compress to quantize"
+        )
     ensure_variant(config.variant)
     subject = open_subject(config)
     if subject.geometry.rig is not None:

@@ -92,12 +92,13 @@ def _frames(written: Asset) -> list[int]:
 
 def stored_tangents(written: Asset) -> np.ndarray | None:
     """
-    Tangents and handedness that a GLB file carries, shape (V, 4); other formats have none.
+    Tangents and handedness that a GLB file carries, shape (V, 4); None where it has none, as other formats.
     """
     if not written.source.endswith(".glb"):
         return None
     file = GltfFile(Path(written.source), [])
-    return file.accessor(file.item("meshes", 0)["primitives"][0]["attributes"]["TANGENT"])
+    stored = file.item("meshes", 0)["primitives"][0]["attributes"].get("TANGENT")
+    return None if stored is None else file.accessor(stored)
 
 
 def as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, Surface, Textures, mi.Float]:

@@ -121,9 +121,9 @@ class Record:
             with self.folder.staged() as stage:
                 if environment is not None:
                     write_environment(environment, stage)
-                files = export_model(model, stage, formats=formats, extras=facts)
+                files = export_model(model, stage, formats=formats, extras=facts, glb=self.config.export.glb)
         except OutputError as error:
             spare = Path(tempfile.mkdtemp(prefix="mi-simplify-"))
-            export_model(model, spare, formats=formats, extras=facts)
+            export_model(model, spare, formats=formats, extras=facts, glb=self.config.export.glb)
             raise OutputError(f"{error}; the model is in {spare} instead") from None
         return self.folder.path / next(iter(files.values())).name

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import meshopt
 import numpy as np
 
 from ...errors import AssetError
@@ -38,17 +39,10 @@ def decompressed(packed: dict[str, Any], data: memoryview, index: int, model: st
     Raises
     ------
     AssetError
-        The package meshopt is not installed, or the data is broken.
+        The data is broken.
     MemoryLimitError
         There is no room for it.
     """
-    try:
-        import meshopt
-    except ImportError:
-        raise AssetError(
-            f"{model}: it is compressed with meshopt; pip install 'mi-simplify[meshopt]' reads it, or decompress it "
-            "with 'gltfpack -noq' or 'gltf-transform copy'"
-        ) from None
     count, stride = int(packed["count"]), int(packed["byteStride"])
     memory.require(count * stride, f"{model}: bufferViews[{index}]", "simplify the file first")
     try:

@@ -1,0 +1,98 @@
+"""
+The one primitive of a file that is written: vertex attributes, indices, morph targets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...config.schema import GlbSettings
+from ...model.mesh import Mesh
+from ...model.model import Model
+from ...model.tangents import split_mirrored, vertex_tangents
+from .container import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Container, some
+from .order import ordered
+from .quantize import EXTENSION, Grid, directions, texture_coordinates
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """
+    Parameters
+    ----------
+    mesh : Mesh
+        As stored: no vertex with two signs of tangents, in the order of :func:`.order.ordered`.
+    entry : dict
+        Of the JSON, without its material.
+    grid : Grid or None
+        What positions are rounded to; None: they are exact.
+    """
+
+    mesh: Mesh
+    entry: dict
+    grid: Grid | None
+
+
+def write_primitive(container: Container, model: Model, settings: GlbSettings, *, tangents: bool) -> Primitive:
+    """
+    Append the mesh of a model, which has faces.
+    """
+    mesh = ordered(split_mirrored(model.mesh) if tangents else model.mesh)
+    grid = None
+    if settings.compress != "none":
+        grid = Grid.around(mesh.vertices)
+        container.extensions.add(EXTENSION)
+        container.required.add(EXTENSION)
+    entry = {"attributes": _attributes(container, mesh, grid, tangents), "indices": _indices(container, mesh)}
+    return Primitive(mesh, {**entry, **some("targets", _targets(container, model, mesh, grid))}, grid)
+
+
+def _attributes(container: Container, mesh: Mesh, grid: Grid | None, tangents: bool) -> dict[str, int]:
+    normals = mesh.normals()
+    exact = {"POSITION": mesh.vertices, "NORMAL": normals[mesh.normal_groups], "TEXCOORD_0": mesh.uvs}
+    if tangents:
+        direction, sign = vertex_tangents(mesh, normals)
+        exact["TANGENT"] = np.concatenate([direction, sign[:, None]], axis=1)
+    out = {}
+    for name, array in exact.items():
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} holds values that are not finite")
+        small, packed = None, None
+        if grid is not None:
+            if name == "POSITION":
+                small = grid.positions(array)
+            elif name == "TEXCOORD_0":
+                small = texture_coordinates(array)
+            else:
+                small, packed = directions(array)
+        stored = np.asarray(array, "<f4") if small is None else small
+        out[name] = container.accessor(
+            stored, ARRAY_BUFFER, bounds=name == "POSITION", normalized=small is not None, packed=packed
+        )
+    return out
+
+
+def _indices(container: Container, mesh: Mesh) -> int:
+    small = len(mesh.uvs) <= 65535  # 65535 itself is reserved (primitive restart)
+    return container.accessor(mesh.faces.ravel().astype("<u2" if small else "<u4"), ELEMENT_ARRAY_BUFFER)
+
+
+def _targets(container: Container, model: Model, mesh: Mesh, grid: Grid | None) -> list[dict] | None:
+    """A morph target for every further vertex set: the set itself at weight 1, blends of two between them."""
+    if model.vertex_sets is None:
+        return None
+    normals, targets = mesh.normals(), []
+    for offset in model.vertex_sets.offsets:
+        moved = replace(mesh, positions=mesh.positions + offset).normals()
+        step, turn = offset[mesh.position_index], (moved - normals)[mesh.normal_groups]
+        # A difference of normals may be longer than 1, which integers cannot hold.
+        stored = np.asarray(step, "<f4") if grid is None else grid.offsets(step)
+        targets.append(
+            {
+                "POSITION": container.accessor(stored, ARRAY_BUFFER, bounds=True, normalized=grid is not None),
+                "NORMAL": container.accessor(np.asarray(turn, "<f4"), ARRAY_BUFFER),
+            }
+        )
+    return targets
