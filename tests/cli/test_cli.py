@@ -335,6 +335,8 @@ def test_options_reach_the_job(monkeypatch, tmp_path, capsys):
     jobs = []
 
     class Done:
+        alarm = None
+
         def summary(self):
             return "the summary"
 
@@ -374,7 +376,7 @@ def test_options_of_the_start_and_of_what_is_fitted(arguments, initial, optimize
 
     def started(config, *args, **options):
         jobs.append(config)
-        return SimpleNamespace(summary=str)
+        return SimpleNamespace(summary=str, alarm=None)
 
     monkeypatch.setattr(job, "run_job", started)
     monkeypatch.chdir(tmp_path)

@@ -11,7 +11,7 @@ from support.models import textured_sphere
 from mi_simplify import cli
 from mi_simplify.export import export_model
 from mi_simplify.formats import textures
-from mi_simplify.formats.gltf import write as gltf
+from mi_simplify.formats.gltf import vertices
 from mi_simplify.formats.load import load_asset
 from mi_simplify.judging.self_check import LEAST_PSNR, self_check
 from mi_simplify.model.model import Model
@@ -70,8 +70,8 @@ def test_mistakes_are_found(tmp_path):
 
 
 def test_tangents_of_the_wrong_hand_are_found(tmp_path, monkeypatch):
-    model, right = textured_sphere(), gltf.vertex_tangents
-    monkeypatch.setattr(gltf, "vertex_tangents", lambda *args: (right(*args)[0], -right(*args)[1]))
+    model, right = textured_sphere(), vertices.vertex_tangents
+    monkeypatch.setattr(vertices, "vertex_tangents", lambda *args: (right(*args)[0], -right(*args)[1]))
     (asset,) = written(model, tmp_path)
     assert self_check(model, asset, resolution=96) < LEAST_PSNR
 
