@@ -12,7 +12,12 @@ import mitsuba as mi
 from .errors import RuntimeUnavailable
 
 #: Modules that define a plugin class and register it on their last line.
-MODULES = ("mi_simplify.bsdfs.ggx_gamma", "mi_simplify.integrators.direct_edge")
+MODULES = (
+    "mi_simplify.bsdfs.mapped_texture",
+    "mi_simplify.bsdfs.ggx_gamma",
+    "mi_simplify.integrators.direct_edge",
+    "mi_simplify.integrators.own_light",
+)
 
 #: Variants in which they work: gradients and RGB.
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
@@ -28,7 +33,9 @@ def _register(_old: str | None, new: str | None) -> None:
         return
     if new not in VARIANTS:
         mi.register_bsdf("ggx_gamma", _refuse)
+        mi.register_texture("mapped_texture", _refuse)
         mi.register_integrator("direct_edge", _refuse)
+        mi.register_integrator("own_light", _refuse)
         return
     for name in MODULES:
         if name in sys.modules:

@@ -42,6 +42,10 @@ class GgxGamma(mi.BSDF):
        - |bool|
        - Base colour and opacity are multiplied by the mesh attributes `vertex_color` (3 floats, linear) and
          `vertex_opacity` (1 float). (Default: false)
+     * - emission
+       - |texture|
+       - Radiance of its own, not below 0. No lobe has it: the attribute `emission` tells it, and the integrator
+         `own_light` shows it. (Default: none)
      * - form
        - |string|
        - `gltf` (glTF 2.0 Appendix B mixing) or `paper` (Hasselgren et al. 2021). (Default: gltf)
@@ -65,6 +69,7 @@ class GgxGamma(mi.BSDF):
         self.opacity = props.get_texture("opacity") if "opacity" in props else None
         self.opacity_cutoff = props.get("opacity_cutoff", 0.0)
         self.normal_map = props.get_texture("normal_map") if "normal_map" in props else None
+        self.emission = props.get_texture("emission") if "emission" in props else None
         self.mesh_tangents = props.get("mesh_tangents", False)
         self.vertex_colors = props.get("vertex_colors", False)
         self.form = microfacet.check_form(props.get("form", "gltf"))
@@ -79,7 +84,7 @@ class GgxGamma(mi.BSDF):
 
     def traverse(self, callback):
         flags = mi.ParamFlags.Differentiable
-        for name in ("base_color", "gamma", "roughness", "metallic", "opacity", "normal_map"):
+        for name in ("base_color", "gamma", "roughness", "metallic", "opacity", "normal_map", "emission"):
             texture = getattr(self, name)
             if texture is not None:
                 callback.put(name, texture, flags)
@@ -230,6 +235,14 @@ class GgxGamma(mi.BSDF):
     def eval_diffuse_reflectance(self, si, active=True):
         base_color, _, _, metallic = self._inputs(si, active)
         return mi.Spectrum(base_color * (1 - metallic))
+
+    def has_attribute(self, name, active=True):
+        return mi.Bool(active) if name == "emission" and self.emission is not None else mi.Bool(False)
+
+    def eval_attribute_3(self, name, si, active=True):
+        if name != "emission" or self.emission is None:
+            return mi.Color3f(0)
+        return mi.Color3f(self.emission.eval(si, active))
 
     def to_string(self):
         return f"GgxGamma[form={self.form}, base_color={self.base_color}]"

@@ -42,6 +42,7 @@ from .options import (
 )
 @KEEP_UV
 @click.option("--keep-hidden", is_flag=True, help="Keep parts that cannot be seen from outside.")
+@click.option("--drop-extras", is_flag=True, help="Leave out the copyright notice and the extras of the asset's file.")
 @FRAMES
 @click.option("--bind-pose-only", is_flag=True, help="Fit a character in its bind pose alone.")
 @OUT
@@ -54,7 +55,8 @@ from .options import (
 @DRY_RUN
 @QUIET
 def simplify(
-    asset, triangles, init, mode, keep_uv, keep_hidden, frames, bind_pose_only, out, config, settings, **options
+    asset, triangles, init, mode, keep_uv, keep_hidden, drop_extras, frames, bind_pose_only, out, config, settings,
+    **options,
 ) -> None:  # fmt: skip
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
@@ -72,6 +74,8 @@ def simplify(
             raise click.UsageError(f"--mode {mode} makes a first guess of its own, so it does not go with --init")
         initial["kind"] = mode
     chosen = {"asset": asset, "initial": initial, "animation": animation(frames, bind_pose_only)}
+    if drop_extras:
+        chosen["export"] = {"metadata": False}
     _run(config, out or default_folder(asset), [*settings, chosen], **options)
 
 

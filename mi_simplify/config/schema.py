@@ -162,6 +162,7 @@ class ExportSettings(Section):
         ("glb", "obj", "usd"), description="Model files to write: `glb`, `obj`, `usd`, or what an extension registers."
     )
     glb: GlbSettings = GlbSettings()
+    metadata: bool = Field(True, description="Carry over the asset's copyright notice and the extras of its file.")
     checkpoint: float = Field(
         30.0, ge=0, description="Seconds between two checkpoints, from which `--resume` goes on; 0: after every step."
     )

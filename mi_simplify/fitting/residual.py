@@ -63,7 +63,12 @@ class PathResidual:
     def _rendered(self, views: Views, seed: int) -> np.ndarray:
         model, surface, textures = self._current(views)
         tracer = make_reference(
-            model.as_asset(), transport="baked", spp=self._spp, max_depth=self._max_depth, form=self._form
+            model.as_asset(),
+            transport="baked",
+            spp=self._spp,
+            max_depth=self._max_depth,
+            form=self._form,
+            emission=False,
         )
         path = tracer.render(views, seed)
         with dr.suspend_grad():

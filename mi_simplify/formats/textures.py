@@ -18,6 +18,9 @@ from ..model.color import linear_to_srgb
 from ..model.emission import emission_of
 from ..model.model import Model
 
+HOLDS_AMBIENT = "emission_holds_ambient"
+"""Key by which files of ours say so."""
+
 VISIBLE_GAMMA = 1.0 / 255.0
 """Gamma up to here is 8-bit noise and written as 0."""
 
@@ -32,13 +35,17 @@ class Textures:
     base_color : ndarray, shape (H, W, 4), uint8
         sRGB and linear opacity, not premultiplied; opacity is 255 in an OPAQUE model.
     orm : ndarray, shape (H, W, 3), uint8
-        Red occlusion (255: none; glTF would read gamma here as darkness), green roughness, blue metal.
+        Red occlusion (255: all light arrives), green roughness, blue metal; gamma is never here, where glTF would read
+        it as darkness.
     normal : ndarray, shape (H, W, 3), uint8
         Tangent space, +Y up the image.
     specular_color : ndarray, shape (H, W, 3), uint8, or None
         sRGB, white on metal; None where no dielectric texel has gamma.
     emission : ndarray, shape (H, W, 3), uint8, or None
-        sRGB, the model's ambient term divided by ``emission_strength``; None where it has none.
+        sRGB, the model's own light and its ambient term, divided by ``emission_strength``; None where it has neither.
+    holds_ambient : bool
+        Whether ``emission`` has the ambient term in it.
+    has_occlusion : bool
     """
 
     base_color: np.ndarray
@@ -47,6 +54,8 @@ class Textures:
     specular_color: np.ndarray | None
     emission: np.ndarray | None = None
     emission_strength: float = 1.0
+    holds_ambient: bool = False
+    has_occlusion: bool = False
 
 
 def encode_textures(model: Model) -> Textures:
@@ -71,10 +80,18 @@ def encode_textures(model: Model) -> Textures:
     normal = _checked("normal", model.normal, 3)
     opacity = np.ones_like(base[..., 3]) if model.alpha_mode == "OPAQUE" else base[..., 3]
     rgb, metallic, specular_color = fold_gamma(base[..., :3], specular)
-    orm = np.stack([np.ones_like(metallic), specular[..., 1], metallic], axis=2)
-    emission, strength = None, 1.0
-    if model.ambient is not None and len(model.ambient) == 1:
-        radiance = emission_of(model.ambient, base, _nearest(specular[..., 2], base.shape[:2]))
+    occlusion = np.ones_like(metallic)
+    if model.occlusion is not None:
+        occlusion = _nearest(_checked("occlusion", model.occlusion, 1), metallic.shape)[..., 0]
+    orm = np.stack([occlusion, specular[..., 1], metallic], axis=2)
+    emission, strength, radiance = None, 1.0, None
+    if model.emission is not None:
+        radiance = _nearest(_checked("emission", model.emission, 3), base.shape[:2])
+    holds_ambient = model.ambient is not None and len(model.ambient) == 1
+    if model.ambient is not None and holds_ambient:
+        term = emission_of(model.ambient, base, _nearest(specular[..., 2], base.shape[:2]))
+        radiance = term if radiance is None else radiance + term
+    if radiance is not None:
         strength = max(float(radiance.max()), 1e-6)
         emission = to_8bit(linear_to_srgb(radiance / strength))
     return Textures(
@@ -84,6 +101,8 @@ def encode_textures(model: Model) -> Textures:
         specular_color=None if specular_color is None else to_8bit(linear_to_srgb(specular_color)),
         emission=emission,
         emission_strength=strength,
+        holds_ambient=holds_ambient,
+        has_occlusion=model.occlusion is not None,
     )
 
 

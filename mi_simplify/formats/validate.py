@@ -81,7 +81,7 @@ def check_asset(asset: Asset, model: str) -> Asset:
 def _check_part(part: Part, model: str) -> None:
     for what, values, width in (
         ("positions", part.vertices, 3), ("normals", part.normals, 3), ("texture coordinates", part.uvs, 2),
-        ("colours", part.colors, 4),
+        ("colours", part.colors, 4), *(("texture coordinates", uvs, 2) for uvs in part.more_uvs),
     ):  # fmt: skip
         if values is not None and values.shape != (len(part.vertices), width):
             raise MeshError(f"{model}: the {what} of part '{part.name}' have the shape {values.shape}; export it again")
@@ -104,7 +104,7 @@ def _area(part: Part, to_world: np.ndarray) -> float:
 
 
 def _mend_material(material: Material, notes: list[str]) -> Material:
-    found = {name: getattr(material, name) for name in ("base_color", "specular", "normal")}
+    found = {name: getattr(material, name) for name in ("base_color", "specular", "normal", "emission")}
     bad = {name: image for name, image in found.items() if image is not None and not np.isfinite(image).all()}
     if bad:
         notes.append(f"{', '.join(bad)} of material '{material.name}' that is NaN or infinite was set to 0")
@@ -113,7 +113,7 @@ def _mend_material(material: Material, notes: list[str]) -> Material:
 
 
 def _mend_part(part: Part, notes: list[str]) -> Part:
-    normals, uvs, colors = part.normals, part.uvs, part.colors
+    normals, colors = part.normals, part.colors
     if normals is not None:
         normals = np.asarray(normals, np.float64)  # lengths that overflow in float32
         length = np.linalg.norm(normals, axis=1)
@@ -123,9 +123,15 @@ def _mend_part(part: Part, notes: list[str]) -> Part:
             normals[bad] = smooth_normals(part.vertices, part.faces)[bad]
             notes.append(f"{int(bad.sum())} of {len(bad)} normals of part '{part.name}' had no length; recomputed")
         normals = normals.astype(np.float32)
-    if uvs is not None and not (fine := np.abs(uvs) < MAX_UV).all():
-        notes.append(f"texture coordinates of part '{part.name}' that are NaN or infinite were set to 0")
-        uvs = np.where(fine, uvs, 0.0)
+    uvs = None if part.uvs is None else _mend_uvs(part.uvs, part.name, notes)
+    more = tuple(_mend_uvs(x, part.name, notes) for x in part.more_uvs)
     if colors is not None:
         colors = np.clip(np.nan_to_num(colors, nan=1.0), 0, 1).astype(np.float32)
-    return replace(part, normals=normals, uvs=None if uvs is None else uvs.astype(np.float32), colors=colors)
+    return replace(part, normals=normals, uvs=uvs, more_uvs=more, colors=colors)
+
+
+def _mend_uvs(uvs: np.ndarray, name: str, notes: list[str]) -> np.ndarray:
+    if not (fine := np.abs(uvs) < MAX_UV).all():
+        notes.append(f"texture coordinates of part '{name}' that are NaN or infinite were set to 0")
+        uvs = np.where(fine, uvs, 0.0)
+    return uvs.astype(np.float32)

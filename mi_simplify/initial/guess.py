@@ -15,7 +15,7 @@ from ..errors import MeshError
 from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
 from ..model.mesh import Mesh
-from ..model.mips import filtered_levels, halved
+from ..model.mips import coarser, filtered_levels, halved
 from ..model.model import Displacement, Model, tessellated
 from ..model.tessellation import Tessellation
 from ..model.topology import area_vectors
@@ -125,7 +125,7 @@ def on_cards(asset: Asset, settings: InitialSettings, *, cards: str = "mask") ->
     model, notes = card_model(
         asset, budget(settings), atlas_size=settings.atlas_size, samples=_SAMPLES, output=cards
     )  # fmt: skip
-    return model, _logged([*asset.notes, *notes])
+    return replace(model, metadata=asset.metadata), _logged([*asset.notes, *notes])
 
 
 def inflated(asset: Asset, settings: InitialSettings, *, seed: int = 0) -> tuple[Model, list[str]]:
@@ -196,7 +196,8 @@ def _textured(
 ) -> tuple[Model, list[str]]:
     """The mesh, displaced where that is asked for, with the textures that are asked for."""
     size, oversample = settings.atlas_size, settings.oversample
-    model = replace(_plain(asset, mesh, size, settings.textures, seed), name=asset.name)
+    model = _plain(asset, mesh, size, settings.textures, seed)
+    model = replace(model, name=asset.name, metadata=asset.metadata)
     if settings.subdivisions:
         model = displaced_onto(asset, model, settings.subdivisions, settings.tessellations)
         mesh = tessellated(model).mesh
@@ -210,9 +211,11 @@ def _textured(
             )
         mode, cutoff = alpha_of(asset, baked.base_color)
         images: dict[str, Any] = {"base_color": baked.base_color, "specular": baked.specular, "normal": baked.normal}
+        more: dict[str, Any] = {"emission": baked.emission, "occlusion": baked.occlusion}
         if oversample > 1:
             images = filtered_levels(**images)[oversample.bit_length() - 2]
-        model = replace(model, alpha_mode=mode, alpha_cutoff=cutoff, **images)
+            more = {name: None if x is None else coarser(x, oversample) for name, x in more.items()}
+        model = replace(model, alpha_mode=mode, alpha_cutoff=cutoff, **images, **more)
     return model, _logged(notes)
 
 

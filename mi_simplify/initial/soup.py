@@ -41,6 +41,8 @@ class Soup:
         Index into ``names``.
     names : tuple of str
         Of the instances.
+    more_uvs : ndarray, shape (V, 2 K), float32
+        Further texture coordinates side by side, as many as any part has.
     """
 
     positions: np.ndarray
@@ -54,6 +56,7 @@ class Soup:
     materials: tuple[Material, ...]
     part_index: np.ndarray
     names: tuple[str, ...]
+    more_uvs: np.ndarray
 
     @property
     def vertices(self) -> np.ndarray:
@@ -86,7 +89,8 @@ def merge(asset: Asset) -> Soup:
         raise MeshError(f"{asset.name}: no triangles to simplify; check that the file holds a mesh")
     materials: list[Material] = []
     uvs, normals, colors, has_normals, faces, vertices, material_index = [], [], [], [], [], [], []
-    start = 0
+    start, n_more = 0, max(len(part.more_uvs) for part in parts)
+    more_uvs = []
     for part in parts:
         n = len(part.vertices)
         known = [i for i, m in enumerate(materials) if m is part.material]
@@ -96,6 +100,8 @@ def merge(asset: Asset) -> Soup:
         vertices.append(np.asarray(part.vertices, np.float64))
         faces.append(np.asarray(part.faces, np.int64) + start)
         uvs.append(np.zeros((n, 2), np.float32) if part.uvs is None else np.float32(part.uvs))
+        missing = np.zeros((n, 2 * (n_more - len(part.more_uvs))), np.float32)
+        more_uvs.append(np.concatenate([*part.more_uvs, missing], axis=1))
         colors.append(np.ones((n, 4), np.float32) if part.colors is None else np.float32(part.colors))
         has_normals.append(np.full(n, part.normals is not None))
         if part.normals is None:
@@ -117,4 +123,5 @@ def merge(asset: Asset) -> Soup:
         materials=tuple(materials),
         part_index=np.repeat(np.arange(len(parts)), [len(p.faces) for p in parts]),
         names=tuple(p.name or f"part {k}" for k, p in enumerate(parts)),
+        more_uvs=np.concatenate(more_uvs),
     )

@@ -220,7 +220,7 @@ class PathTraced:
         from ..scenes.references.path_traced import make_reference
 
         self._lit = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH)
-        self._sky = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY)
+        self._sky = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY, emission=False)
 
     def render(self, views: Views, seed: int = 0) -> np.ndarray:
         """

@@ -18,7 +18,9 @@ POSITIONS, FACES, NORMALS, UVS = "vertex_positions", "faces", "vertex_normals", 
 TANGENTS = "vertex_tangent"
 
 
-def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents=None, colors=None) -> mi.Mesh:
+def make_mesh(
+    name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents=None, colors=None, more_uvs=()
+) -> mi.Mesh:
     """
     A Mitsuba mesh from arrays.
 
@@ -33,6 +35,8 @@ def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents
     bsdf : mi.BSDF, optional
     colors : ndarray, shape (V, 4), optional
         Linear colour and opacity, which become the mesh attributes ``vertex_color`` and ``vertex_opacity``.
+    more_uvs : sequence of ndarray, shape (V, 2)
+        Further texture coordinates, which become the mesh attributes ``vertex_uv1``, ``vertex_uv2``, …
     """
     props = mi.Properties()
     if bsdf is not None:
@@ -46,6 +50,8 @@ def make_mesh(name, vertices, faces, normals=None, uvs=None, bsdf=None, tangents
     if colors is not None:
         mesh.add_attribute("vertex_color", 3, np.ascontiguousarray(colors[:, :3], np.float32).ravel())
         mesh.add_attribute("vertex_opacity", 1, np.ascontiguousarray(colors[:, 3], np.float32))
+    for k, more in enumerate(more_uvs):
+        mesh.add_attribute(f"vertex_uv{k + 1}", 3, np.pad(np.float32(more), ((0, 0), (0, 1))).ravel())
     params = mi.traverse(mesh)
     params[POSITIONS] = np.ascontiguousarray(vertices, np.float32).ravel()
     params[FACES] = np.ascontiguousarray(faces, np.uint32).ravel()

@@ -9,7 +9,9 @@ linear in memory; normal maps unit vectors in tangent space, +Y up the image (Op
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +24,26 @@ PER_INSTANCE = 800
 PER_CORNER = 100
 
 FEWER_INSTANCES = "place fewer, or simplify the part alone"
+
+
+@dataclass(frozen=True)
+class Lookup:
+    """
+    Where one texture of a material is looked up.
+
+    Parameters
+    ----------
+    uvs : int
+        Which coordinates of the part: 0 for :attr:`Part.uvs`, k for ``Part.more_uvs[k - 1]``.
+    wraps : tuple of {'repeat', 'mirror', 'clamp'}
+        What lies beyond the image along u and v.
+    """
+
+    uvs: int = 0
+    wraps: tuple[str, str] = ("repeat", "repeat")
+
+
+PLAIN = Lookup()
 
 
 @dataclass(frozen=True)
@@ -41,6 +63,15 @@ class Material:
         As in glTF. OPAQUE ignores the opacity channel.
     alpha_cutoff : float
         Opacity threshold of MASK.
+    emission : ndarray, shape (H, W, 3), float32, or None
+        Linear radiance of its own light, not below 0; None for none. It is seen, but lights nothing else.
+    occlusion : ndarray, shape (H, W, 1), float32, or None
+        Share of light from everywhere that arrives, in [0, 1]; carried along, no renderer here uses it.
+    double_sided : bool
+        Whether its back is seen, as the file has it; renderers here show it always.
+    lookups : mapping of str to Lookup
+        Of the textures that are not looked up plainly, by the name of the field above. The normal map always is at
+        :attr:`Part.uvs`, whose tangents it needs.
     """
 
     name: str = "default"
@@ -49,6 +80,14 @@ class Material:
     normal: np.ndarray | None = None
     alpha_mode: str = "OPAQUE"
     alpha_cutoff: float = 0.5
+    emission: np.ndarray | None = None
+    occlusion: np.ndarray | None = None
+    double_sided: bool = True
+    lookups: Mapping[str, Lookup] = field(default_factory=dict)
+
+    def lookup(self, texture: str) -> Lookup:
+        """Where a texture is looked up, by the name of its field."""
+        return self.lookups.get(texture, PLAIN)
 
 
 @dataclass(frozen=True)
@@ -70,6 +109,8 @@ class Part:
         Linear vertex colours and opacity, multiplied onto the base colour.
     skin : Skin, optional
         Which joints of the asset's rig pull at the vertices, where it has one.
+    more_uvs : tuple of ndarray, shape (V, 2), float32
+        Further texture coordinates, which the material's :class:`Lookup` names.
     """
 
     vertices: np.ndarray
@@ -80,6 +121,7 @@ class Part:
     material: Material = field(default_factory=Material)
     name: str = "part"
     skin: Skin | None = None
+    more_uvs: tuple[np.ndarray, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -123,6 +165,8 @@ class Asset:
     """Of a fitted model: the light besides point lights that belongs to it, (K, 3), see :mod:`..latent.ambient`."""
     rig: Rig | None = None
     """Skeleton and animation of a character; the asset itself then stands in its bind pose, see :meth:`posed`."""
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    """Of the file as a whole, carried over as it is: 'copyright', and 'extras', JSON values of glTF's ``asset``."""
 
     @property
     def n_triangles(self) -> int:

@@ -1,10 +1,18 @@
 """
-The ambient term of a model as a texture of its own light; plain NumPy.
+The light that surfaces give off by themselves, and the ambient term of a model, which files carry as such; plain NumPy.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+
+from .asset import Asset, Material
+from .harmonics import COUNTS
+
+#: Emission up to this share of the largest is what 8 bits leave of zero.
+_NOISE = 2.0 / 255
 
 
 def emission_of(ambient: np.ndarray, base_color: np.ndarray, metallic: np.ndarray) -> np.ndarray:
@@ -18,3 +26,41 @@ def emission_of(ambient: np.ndarray, base_color: np.ndarray, metallic: np.ndarra
     metallic : ndarray, shape (H, W)
     """
     return (ambient[0] * base_color[..., :3] * (1 - metallic[..., None])).astype(np.float32)
+
+
+def ambient_of(text: object) -> np.ndarray | None:
+    """
+    The ambient light of a model as files of ours tell it, numbers with blanks between, shape (K, 3); None for nonsense.
+    """
+    try:
+        ambient = np.array(str(text).split(), np.float32).reshape(-1, 3)
+    except ValueError:
+        return None
+    return ambient if len(ambient) in COUNTS and np.isfinite(ambient).all() else None
+
+
+def without_ambient(asset: Asset, ambient: np.ndarray | None) -> Asset:
+    """
+    An asset read from a file of ours whose emission holds the ambient term, with what is left of that as emission.
+
+    Parameters
+    ----------
+    ambient : ndarray, shape (K, 3), or None
+        Files carry that of one colour alone in this way.
+    """
+    if ambient is None or len(ambient) != 1:
+        return asset
+    mended = {id(part.material): own_emission(part.material, ambient) for part in asset.parts}
+    return replace(asset, parts=tuple(replace(part, material=mended[id(part.material)]) for part in asset.parts))
+
+
+def own_emission(material: Material, ambient: np.ndarray) -> Material:
+    """
+    A material without the ambient term, of one colour (1, 3), that its emission holds.
+    """
+    if material.emission is None or material.emission.shape[:2] != material.base_color.shape[:2]:
+        return material
+    metallic = np.broadcast_to(material.specular[..., 2], material.base_color.shape[:2])
+    left = material.emission - emission_of(ambient, material.base_color, metallic)
+    left = np.where(left > _NOISE * material.emission.max(), left, 0).astype(np.float32)
+    return replace(material, emission=left if left.any() else None)

@@ -31,6 +31,15 @@ def halved(image: np.ndarray) -> np.ndarray:
     return image
 
 
+def coarser(image: np.ndarray, times: int) -> np.ndarray:
+    """
+    An image (H, W, C) at the level that is so many times, a power of two, coarser.
+    """
+    for _ in range(times.bit_length() - 1):
+        image = halved(image)
+    return image
+
+
 def filtered_levels(base_color: np.ndarray, specular: np.ndarray, normal: np.ndarray) -> list[dict[str, np.ndarray]]:
     """
     All coarser levels of a material, the spread of its normals turned into roughness.

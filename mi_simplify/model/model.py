@@ -4,8 +4,9 @@ The small textured mesh in plain NumPy: what the first guess makes, the fit impr
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -88,6 +89,11 @@ class Model:
         The light besides point lights that it was fitted under, see :mod:`..latent.ambient`.
     skin : Rigging, optional
         Skeleton, clip and weights of a character, whose mesh stands in its bind pose.
+    emission : ndarray, shape (H, W, 3), float32, or None
+    occlusion : ndarray, shape (H, W, 1), float32, or None
+        As in :class:`.asset.Material`; baked from the asset, and left alone by the fit.
+    metadata : mapping
+        Of the asset, see :attr:`.asset.Asset.metadata`.
     """
 
     mesh: Mesh
@@ -102,6 +108,9 @@ class Model:
     displacement: Displacement | None = None
     skin: Rigging | None = None
     vertex_sets: VertexSets | None = None
+    emission: np.ndarray | None = None
+    occlusion: np.ndarray | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def n_triangles(self) -> int:
@@ -111,7 +120,10 @@ class Model:
     @property
     def material(self) -> Material:
         """The textures as a material of the scenes stage."""
-        return Material(self.name, self.base_color, self.specular, self.normal, self.alpha_mode, self.alpha_cutoff)
+        return Material(
+            self.name, self.base_color, self.specular, self.normal, self.alpha_mode, self.alpha_cutoff,
+            self.emission, self.occlusion,
+        )  # fmt: skip
 
     def transformed(self, scale: float, offset: np.ndarray) -> Model:
         """
@@ -168,7 +180,10 @@ class Model:
             skin=skin,
         )
         rig = None if self.skin is None else self.skin.rig
-        return Asset((part,), (Instance(0, name=self.name),), name=self.name, ambient=self.ambient, rig=rig)
+        return Asset(
+            (part,), (Instance(0, name=self.name),), name=self.name, ambient=self.ambient, rig=rig,
+            metadata=self.metadata,
+        )  # fmt: skip
 
 
 def tessellated(model: Model, subdivisions: int | None = None) -> Model:

@@ -111,6 +111,8 @@ class Record:
             The folder has no room for it, or is gone for good; where it is instead.
         """
         formats, facts = self.config.export.formats, self.facts
+        if not self.config.export.metadata:
+            model = replace(model, metadata={})
         environment = None
         if model.ambient is not None:
             environment = model.ambient if len(model.ambient) > 1 else None

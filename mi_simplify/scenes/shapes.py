@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..machine.meshes import make_mesh
-from ..model.asset import Asset, Instance, Material, Part
+from ..model.asset import Asset, Instance, Lookup, Material, Part
 from ..model.mesh import Mesh
 from ..model.tangents import split_mirrored, vertex_tangents
 from ..model.topology import area_vectors, vertex_normals, weld
@@ -37,12 +37,21 @@ def bitmap(image: np.ndarray, wrap: str = "repeat") -> dict:
     return {"type": "bitmap", "bitmap": data, "raw": True, "wrap_mode": wrap}
 
 
+def _texture(image: np.ndarray, lookup: Lookup) -> dict:
+    """A bitmap looked up where a material says."""
+    wrap_u, wrap_v = lookup.wraps
+    if lookup.uvs == 0 and wrap_u == wrap_v:
+        return bitmap(image, wrap_u)
+    uvs = f"vertex_uv{lookup.uvs}" if lookup.uvs else ""
+    return {"type": "mapped_texture", "image": bitmap(image), "uvs": uvs, "wrap_u": wrap_u, "wrap_v": wrap_v}
+
+
 def _constant(image: np.ndarray) -> bool:
     return image.shape[0] == 1 and image.shape[1] == 1
 
 
-def _scalar(image: np.ndarray):
-    return float(image[0, 0, 0]) if _constant(image) else bitmap(image)
+def _scalar(image: np.ndarray, lookup: Lookup):
+    return float(image[0, 0, 0]) if _constant(image) else _texture(image, lookup)
 
 
 def material_bsdf(
@@ -51,18 +60,20 @@ def material_bsdf(
     """
     The ``ggx_gamma`` description of a material, for meshes with the attributes that the two switches speak of.
     """
-    color = material.base_color[..., :3]
-    base = {"type": "rgb", "value": [float(c) for c in color[0, 0]]} if _constant(color) else bitmap(color)
+    color, of_base, of_specular = material.base_color[..., :3], *map(material.lookup, ("base_color", "specular"))
+    base = {"type": "rgb", "value": [float(c) for c in color[0, 0]]} if _constant(color) else _texture(color, of_base)
     out: dict[str, Any] = {"type": "ggx_gamma", "form": form, "base_color": base, "vertex_colors": vertex_colors}
     for channel, name in enumerate(("gamma", "roughness", "metallic")):
-        out[name] = _scalar(material.specular[..., channel : channel + 1])
+        out[name] = _scalar(material.specular[..., channel : channel + 1], of_specular)
     if material.alpha_mode != "OPAQUE":
-        out["opacity"] = _scalar(material.base_color[..., 3:4])
+        out["opacity"] = _scalar(material.base_color[..., 3:4], of_base)
         if material.alpha_mode == "MASK":
             out["opacity_cutoff"] = material.alpha_cutoff
     if material.normal is not None:
-        out["normal_map"] = bitmap(material.normal * 0.5 + 0.5)
+        out["normal_map"] = _texture(material.normal * 0.5 + 0.5, material.lookup("normal"))
         out["mesh_tangents"] = mesh_tangents
+    if material.emission is not None:
+        out["emission"] = _texture(material.emission, material.lookup("emission"))
     return out
 
 
@@ -118,6 +129,7 @@ def _copied(asset: Asset, p: int, placements: tuple[Instance, ...]) -> Part:
         faces=(np.stack([c.faces for c in copies]) + start).reshape(-1, 3),
         normals=np.concatenate([c.normals for c in copies]),
         uvs=None if part.uvs is None else np.tile(part.uvs, (n, 1)),
+        more_uvs=tuple(np.tile(uvs, (n, 1)) for uvs in part.more_uvs),
         colors=None if part.colors is None else np.tile(part.colors, (n, 1)),
     )
 
@@ -136,7 +148,8 @@ def rendered_mesh(
     key = (id(part.material), *attributes.values())
     if key not in bsdfs:
         bsdfs[key] = mi.load_dict(material_bsdf(part.material, **attributes, form=form))
-    return make_mesh(name, part.vertices, part.faces, normals, part.uvs, bsdfs[key], tangents, part.colors)
+    bsdf = bsdfs[key]
+    return make_mesh(name, part.vertices, part.faces, normals, part.uvs, bsdf, tangents, part.colors, part.more_uvs)
 
 
 def rendered_part(part: Part, with_tangents: bool = True) -> tuple[Part, np.ndarray, np.ndarray | None, np.ndarray]:
@@ -160,13 +173,14 @@ def rendered_part(part: Part, with_tangents: bool = True) -> tuple[Part, np.ndar
         return part, normals, None, np.arange(len(part.vertices))
     colors = [] if part.colors is None else [part.colors]
     skin = [] if part.skin is None else [part.skin.joints, part.skin.weights]
-    _, index = weld(np.concatenate([part.vertices, normals, part.uvs, *colors, *skin], axis=1))
+    _, index = weld(np.concatenate([part.vertices, normals, part.uvs, *part.more_uvs, *colors, *skin], axis=1))
     _, first = np.unique(index, return_index=True)
     mesh = split_mirrored(Mesh(part.vertices[first], np.arange(len(first)), part.uvs[first], index[part.faces]))
     source = first[mesh.position_index]
     tangents, _ = vertex_tangents(mesh, normals[first])
     part = replace(
         part, vertices=mesh.vertices, faces=mesh.faces, uvs=mesh.uvs, normals=normals[source].astype(np.float32),
+        more_uvs=tuple(uvs[source] for uvs in part.more_uvs),
         colors=None if part.colors is None else part.colors[source],
         skin=None if part.skin is None else part.skin.taken(source),
     )  # fmt: skip

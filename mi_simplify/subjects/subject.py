@@ -274,16 +274,17 @@ def renderer_of(asset: Asset, config: Config, spp: int) -> Reference:
     Mitsuba's rendering of an asset in the units of its file, as the configuration asks for it, with so many samples.
     """
     settings = config.reference.model_copy(update={"spp": spp})
-    return reference_for(asset, config.model_copy(update={"reference": settings}))
+    return reference_for(asset, config.model_copy(update={"reference": settings}), emission=True)
 
 
-def reference_for(asset: Asset, config: Config) -> Reference:
+def reference_for(asset: Asset, config: Config, *, emission: bool = False) -> Reference:
     """
-    Mitsuba's rendering of an asset, as the configuration asks for it.
+    Mitsuba's rendering of an asset, as the configuration asks for it; a fit, whose model has no emission, sees none.
     """
     settings = config.reference
     require_environment(settings.environment)
     return make_reference(
         asset, transport=settings.transport, spp=settings.spp, max_depth=settings.max_depth,
         environment=settings.environment, lights=settings.scene_lights, form=config.latent.shading,
+        emission=emission,
     )  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mi_simplify.initial.soup import merge
-from mi_simplify.model.asset import Asset, Instance, Material, Part
+from mi_simplify.model.asset import PLAIN, Asset, Instance, Material, Part
 from mi_simplify.model.mesh import Mesh
 
 QUAD = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
@@ -29,7 +29,7 @@ def low(uvs=QUAD_UV, reach=1.0):
 
 
 def look(low_poly, *parts, size=4):
-    """Points, hits, and the 14 numbers of every texel, shape (size, size, 14)."""
+    """Points, hits, and the 18 numbers of every texel, shape (size, size, 18)."""
     from mi_simplify.initial.bake.lookup import Detail
     from mi_simplify.machine.meshes import MISS
 
@@ -38,7 +38,7 @@ def look(low_poly, *parts, size=4):
     hits = detail.search(points)
     face = hits.face.numpy().reshape(size, size)
     hits.face = dr.select(hits.face == MISS, 0, hits.face)
-    values = np.stack([x.numpy() for x in detail.shade(points, hits)], 1).reshape(size, size, 14)
+    values = np.stack([x.numpy() for x in detail.shade(points, hits)], 1).reshape(size, size, 18)
     return face, values
 
 
@@ -76,7 +76,7 @@ def test_images_are_bilinear_and_repeat(uv):
             for dx in (0, 1)
             for dy in (0, 1)
         )
-        value = Images(textures).at(mi.UInt32(k), mi.Point2f(*uv)).numpy().ravel()
+        value = Images(textures, [PLAIN] * 2).at(mi.UInt32(k), [mi.Point2f(*uv)]).numpy().ravel()
         np.testing.assert_allclose(value[: len(expected)], expected, atol=1e-6)
 
 
@@ -100,7 +100,8 @@ def test_material_numbers_are_those_of_the_file():
     base = np.float32([[[0.8, 0.4, 0.2, 0.25]]])
     specular = np.float32([[[0.1, 0.6, 0.9]]])
     _, v = look(low(), quad(material=Material("m", base, specular, alpha_mode="BLEND")))
-    np.testing.assert_allclose(v[0, 0], [0.2, 0.1, 0.05, 0.8, 0.4, 0.2, 0.25, 0.1, 0.6, 0.9, 0, 0, 1, 0], atol=1e-5)
+    expected = [0.2, 0.1, 0.05, 0.8, 0.4, 0.2, 0.25, 0.1, 0.6, 0.9, 0, 0, 1, 0, 0, 0, 0, 1]
+    np.testing.assert_allclose(v[0, 0], expected, atol=1e-5)
     _, v = look(low(), quad(material=Material("m", base, specular)))  # OPAQUE ignores opacity
     assert np.allclose(v[..., 6], 1) and np.allclose(v[..., :3], [0.8, 0.4, 0.2])
     for cutoff, opacity in ((0.2, 1), (0.3, 0)):

@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import AssetError
 from ...model.asset import Material
 from ..images import constant, join_channels, opacity, rgb, to_float, unit_normals
-from ..mapping import Mapping
+from ..mapping import Mapping, Mappings
 from .file import GltfFile
 
 #: What is left out of a material, by extension.
@@ -22,10 +22,13 @@ _LEFT_OUT = {
     "KHR_materials_subsurface": "subsurface scattering",
 }  # fmt: skip
 
+#: Why textures that share one of ours cannot be joined.
+_APART = "its texture coordinates are not those of the texture that it is joined with"
+
 _WRAPS = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 
 
-def read_material(file: GltfFile, index: int | None) -> tuple[Material, Mapping | None]:
+def read_material(file: GltfFile, index: int | None) -> tuple[Material, tuple[Mapping, ...]]:
     """
     A material and where its textures are looked up; without an index the house's default, not glTF's metal.
 
@@ -36,20 +39,20 @@ def read_material(file: GltfFile, index: int | None) -> tuple[Material, Mapping 
     Returns
     -------
     material : Material
-    mapping : Mapping or None
-        None where the material has no texture.
+    places : tuple of Mapping
+        The coordinates that the material's lookups number; empty where it has no texture.
     """
     if index is None:
-        return Material(), None
+        return Material(), ()
     source = file.item("materials", index)
     reader = _MaterialReader(file, source, source.get("name") or f"material_{index}")
-    return reader.read(), reader.mapping
+    return reader.read(), reader.mappings.places
 
 
 class _MaterialReader:
     def __init__(self, file: GltfFile, source: dict, name: str):
         self.file, self.source, self.name = file, source, name
-        self.mapping: Mapping | None = None
+        self.mappings = Mappings()
 
     def read(self) -> Material:
         source, extensions = self.source, self.source.get("extensions") or {}
@@ -59,19 +62,22 @@ class _MaterialReader:
             base, roughness_metallic = self._metallic_roughness(source.get("pbrMetallicRoughness") or {})
         specular = join_channels(constant(0), roughness_metallic)
         if "KHR_materials_specular" in extensions:
-            base, specular = _with_gamma(base, specular, self._specular_color(extensions["KHR_materials_specular"]))
+            color = self._specular_color(extensions["KHR_materials_specular"])
+            if self.mappings.same("base_color", "specular"):
+                base, specular = _with_gamma(base, specular, color)
+            elif specular[..., 2].max() == 0:  # the base colour of a dielectric stays as it is
+                specular = _with_gamma(constant(0, 0, 0, 0), specular, color)[1]
+            else:
+                self._note(f"specular colour of material '{self.name}' was left out: {_APART}")
         info = source.get("normalTexture")
-        pixels = self._texture(info, "normal map")
+        pixels = self._texture(info, "normal map", "normal")
         normal = None
         if info and pixels is not None:
             normal = unit_normals(to_float(rgb(pixels), srgb=False) * 2 - 1, float(self._numbers(info, "scale", 1)[0]))
         for extension, meaning in _LEFT_OUT.items():
             if extension in extensions:
                 self._note(f"{meaning} of material '{self.name}' was left out")
-        if source.get("occlusionTexture"):
-            self._note(f"occlusion of material '{self.name}' was left out")
-        if any(source.get("emissiveFactor") or ()):
-            self._note(f"emission of material '{self.name}' was left out")
+        occlusion, emission = self._occlusion(), self._emission(extensions)
         return Material(
             name=self.name,
             base_color=np.clip(base, 0, 1),
@@ -79,7 +85,30 @@ class _MaterialReader:
             normal=normal,
             alpha_mode=self._alpha_mode(),
             alpha_cutoff=float(self._numbers(source, "alphaCutoff", 0.5)[0]),
+            emission=emission,
+            occlusion=occlusion,
+            double_sided=bool(source.get("doubleSided", False)),
+            lookups=self.mappings.lookups,
         )
+
+    def _occlusion(self) -> np.ndarray | None:
+        """Red of its texture, weakened to its strength, shape (H, W, 1)."""
+        info = self.source.get("occlusionTexture")
+        pixels = self._texture(info, "occlusion", "occlusion")
+        if info is None or pixels is None:
+            return None
+        strength = np.clip(self._numbers(info, "strength", 1), 0, 1)
+        return np.clip(1 + strength * (to_float(pixels[..., :1], srgb=False) - 1), 0, 1)
+
+    def _emission(self, extensions: dict) -> np.ndarray | None:
+        """Linear radiance, shape (H, W, 3); None for none."""
+        factor = np.maximum(self._numbers(self.source, "emissiveFactor", [0] * 3), 0)
+        strength = extensions.get("KHR_materials_emissive_strength") or {}
+        factor = factor * np.maximum(self._numbers(strength, "emissiveStrength", 1), 0)
+        if not factor.any():
+            return None
+        pixels = self._texture(self.source.get("emissiveTexture"), "emission", "emission")
+        return factor.reshape(1, 1, 3) * (1 if pixels is None else to_float(rgb(pixels), srgb=True))
 
     def _alpha_mode(self) -> str:
         mode = self.source.get("alphaMode", "OPAQUE")
@@ -91,7 +120,7 @@ class _MaterialReader:
         """Base colour and opacity, and (roughness, metallic), each shape (H, W, C)."""
         base = self._color(pbr.get("baseColorTexture"), self._numbers(pbr, "baseColorFactor", [1] * 4), "base colour")
         factor = np.concatenate([self._numbers(pbr, "roughnessFactor", 1), self._numbers(pbr, "metallicFactor", 1)])
-        pixels = self._texture(pbr.get("metallicRoughnessTexture"), "metallic-roughness texture")
+        pixels = self._texture(pbr.get("metallicRoughnessTexture"), "metallic-roughness texture", "specular")
         if pixels is None:
             return base, factor.reshape(1, 1, 2)
         return base, to_float(rgb(pixels)[..., 1:3], srgb=False) * factor
@@ -101,7 +130,7 @@ class _MaterialReader:
         self._note(f"specular colour of material '{self.name}' (KHR_materials_pbrSpecularGlossiness) was left out")
         base = self._color(pbr.get("diffuseTexture"), self._numbers(pbr, "diffuseFactor", [1] * 4), "diffuse texture")
         glossiness = constant(*self._numbers(pbr, "glossinessFactor", 1))
-        pixels = self._texture(pbr.get("specularGlossinessTexture"), "specular-glossiness texture")
+        pixels = self._texture(pbr.get("specularGlossinessTexture"), "specular-glossiness texture", "specular")
         alpha = None if pixels is None else opacity(pixels)
         if alpha is not None:
             glossiness = glossiness * to_float(alpha, srgb=False)
@@ -117,7 +146,7 @@ class _MaterialReader:
     def _color(self, info: dict | None, factor: np.ndarray, what: str) -> np.ndarray:
         """Linear colour and opacity, shape (H, W, 4)."""
         factor = factor.reshape(1, 1, 4)
-        pixels = self._texture(info, what)
+        pixels = self._texture(info, what, "base_color")
         if pixels is None:
             return factor
         values = to_float(pixels, srgb=True)
@@ -131,21 +160,21 @@ class _MaterialReader:
         ``specularFactor`` scales F90 as well, for which there is no parameter; it is folded in.
         """
         strength = constant(*self._numbers(specular, "specularFactor", 1))
-        pixels = self._texture(specular.get("specularTexture"), "specular texture")
+        pixels = self._texture(specular.get("specularTexture"), "specular texture", "specular")
         alpha = None if pixels is None else opacity(pixels)
         if alpha is not None:
             strength = strength * to_float(alpha, srgb=False)
         color = self._numbers(specular, "specularColorFactor", [1] * 3).reshape(1, 1, 3)
         if color.max() > 1:
             self._note(f"specularColorFactor of material '{self.name}' is above 1 and was taken as 1")
-        pixels = self._texture(specular.get("specularColorTexture"), "specular colour texture")
+        pixels = self._texture(specular.get("specularColorTexture"), "specular colour texture", "specular")
         if pixels is not None:
             color = color * to_float(rgb(pixels), srgb=True)
         return np.clip(join_channels(color.mean(axis=2, keepdims=True), strength).prod(axis=2, keepdims=True), 0, 1)
 
-    def _texture(self, info: dict | None, what: str) -> np.ndarray | None:
+    def _texture(self, info: dict | None, what: str, texture_of: str) -> np.ndarray | None:
         """
-        The decoded image of a texture reference, or None; the first one of a material fixes its mapping.
+        The decoded image of a texture reference, for a texture of the material by its name; None without one.
         """
         if not info:
             return None
@@ -160,11 +189,8 @@ class _MaterialReader:
                 f"{self.file.name}: the {what} of material '{self.name}' has no image that can be read ({kind}); "
                 "convert it to PNG or JPEG"
             )
-        mapping = _mapping(info, self._wraps(texture))
-        if self.mapping is None:
-            self.mapping = mapping
-        elif not mapping.same_place(self.mapping):
-            self._note(f"{what} of material '{self.name}' was left out: its coordinates are not the first texture's")
+        if not self.mappings.take(texture_of, _mapping(info, self._wraps(texture))):
+            self._note(f"{what} of material '{self.name}' was left out: {_APART}")
             return None
         return self.file.image(source)
 

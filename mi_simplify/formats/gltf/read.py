@@ -12,10 +12,11 @@ import numpy as np
 from ...errors import AssetError, MeshError
 from ...machine import memory
 from ...model.asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Part
-from ...model.harmonics import COUNTS
+from ...model.emission import ambient_of, without_ambient
 from ..images import constant
 from ..influences import renumbered
-from ..mapping import Mapping
+from ..mapping import Mapping, placed
+from ..textures import HOLDS_AMBIENT
 from ..validate import check_indices, used_vertices
 from .draco import draco_accessors
 from .file import GltfFile
@@ -74,15 +75,14 @@ class _Scene:
                 for part in self._parts_of(node["mesh"], node.get("weights")):
                     self._place(part, to_world @ placement, name, index)
         self._note_left_out()
-        notes = self.notes
         if all(part.skin is None for part in self.parts):
             if self.file.json.get("animations"):
                 self.file.resources.note("animations were left out; the model stands as its nodes do")
-            return Asset(tuple(self.parts), tuple(self.instances), notes=tuple(notes), ambient=self._ambient())
+            return self._finished(Asset(tuple(self.parts), tuple(self.instances)))
         rig, new, joints = self._skeletons.rig([c for c in self._carriers if c is not None])
         is_rigid = [c is not None for c in self._carriers]
         parts, instances = renumbered(self.parts, self.instances, is_rigid, new, joints)
-        return Asset(parts, instances, notes=tuple(notes), ambient=self._ambient(), rig=rig)
+        return self._finished(Asset(parts, instances, rig=rig))
 
     def _note_left_out(self) -> None:
         """A line for everything in the file that has no counterpart here."""
@@ -96,8 +96,15 @@ class _Scene:
             note("material variants were left out; the default materials are used")
         if (extensions.get("KHR_lights_punctual") or {}).get("lights"):
             note("lights were left out")
-        if (json.get("asset") or {}).get("copyright"):
-            note(f"the copyright notice '{json['asset']['copyright']}' is not carried over")
+
+    def _finished(self, asset: Asset) -> Asset:
+        """With what the file says of itself."""
+        about = self.file.json.get("asset") or {}
+        ambient, extras = self._ambient(), about.get("extras")
+        if isinstance(extras, dict) and extras.get(HOLDS_AMBIENT):
+            asset = without_ambient(asset, ambient)
+        metadata = {key: about[key] for key in ("copyright", "extras") if about.get(key)}
+        return replace(asset, ambient=ambient, metadata=metadata, notes=tuple(self.notes))
 
     def _ambient(self) -> np.ndarray | None:
         """The light besides point lights that a model of ours was fitted under."""
@@ -105,11 +112,8 @@ class _Scene:
         value = extras.get("ambient") if isinstance(extras, dict) else None
         if value is None:
             return None
-        try:
-            ambient = np.array(value.split(), np.float32).reshape(-1, 3)
-        except (ValueError, AttributeError):
-            ambient = np.zeros((0, 3), np.float32)
-        if len(ambient) not in COUNTS or not np.isfinite(ambient).all():
+        ambient = ambient_of(value)
+        if ambient is None:
             self.notes.append("the ambient light in its extras makes no sense and was left out")
             return None
         return ambient
@@ -195,7 +199,7 @@ class _Scene:
         material_index = primitive.get("material")
         if material_index not in self._materials:
             self._materials[material_index] = read_material(file, material_index)
-        material, mapping = self._materials[material_index]
+        material, places = self._materials[material_index]
         colors = attribute("COLOR_0")
         if colors is not None:
             colors = colors[:, :4].astype(np.float32)
@@ -208,19 +212,14 @@ class _Scene:
             file.resources.note(f"morph targets of '{name}' were left out; it is shown with their default weights")
         part = Part(
             morphed(file, primitive, "POSITION", vertices, weights)[used].astype(np.float64), faces,
-            None if normals is None else normals.astype(np.float32), self._uvs(attribute, mapping, name), colors,
-            material, name,
+            None if normals is None else normals.astype(np.float32), None, colors, material, name,
         )  # fmt: skip
-        return part, used
-
-    def _uvs(self, attribute, mapping: Mapping | None, name: str) -> np.ndarray | None:
-        """Texture coordinates with the material's texture transform applied, shape (V, 2)."""
-        uvs = attribute(f"TEXCOORD_{mapping.set if mapping else 0}")
-        if uvs is None:
-            if mapping is not None:
-                self.file.resources.note(f"'{name}' has textures but no TEXCOORD_{mapping.set}; they show one texel")
-            return None
-        return uvs if mapping is None else mapping.apply(uvs, name, self.file.resources)
+        found = [attribute(f"TEXCOORD_{place.set}") for place in places or (Mapping(),)]
+        for place, uvs in zip(places, found, strict=False):
+            if uvs is None:
+                file.resources.note(f"'{name}' has textures but no TEXCOORD_{place.set}; they show one texel")
+        first, *more = placed(places, found)
+        return replace(part, uvs=first, more_uvs=tuple(more)), used
 
     def _skinned(self, index: int, node: dict, name: str, to_world: np.ndarray) -> None:
         """

@@ -14,7 +14,7 @@ from ...errors import MeshError
 from ...machine.files import write_atomic
 from ...model.model import Model
 from ..origin import recentred
-from ..textures import Textures, encode_textures, png
+from ..textures import HOLDS_AMBIENT, Textures, encode_textures, png
 from .container import Container, some
 from .rig import write_rig
 from .vertices import write_primitive
@@ -85,7 +85,7 @@ def glb_bytes(model: Model, *, extras: dict | None = None, settings: GlbSettings
         node |= {"scale": [primitive.grid.scale] * 3, "translation": (origin + primitive.grid.offset).tolist()}
     mesh = {"name": model.name, "primitives": [primitive.entry | {"material": 0}], **_target_names(model)}
     document = {
-        "asset": {"version": "2.0", "generator": f"mi_simplify {__version__}", **some("extras", extras)},
+        "asset": {"version": "2.0", "generator": f"mi_simplify {__version__}", **_metadata(model, textures, extras)},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [node],
@@ -95,6 +95,15 @@ def glb_bytes(model: Model, *, extras: dict | None = None, settings: GlbSettings
     }
     container.extensions.update(material.get("extensions", ()))
     return container.glb(document | more)
+
+
+def _metadata(model: Model, textures: Textures, extras: dict | None) -> dict:
+    """What is said of the file: the asset's own copyright and extras, and ours, which win."""
+    own = model.metadata.get("extras")
+    extras = (own if isinstance(own, dict) else {} if own is None else {"asset": own}) | (extras or {})
+    if textures.holds_ambient:
+        extras[HOLDS_AMBIENT] = True
+    return {**some("copyright", model.metadata.get("copyright")), **some("extras", extras or None)}
 
 
 def _target_names(model: Model) -> dict:
@@ -108,11 +117,12 @@ def _target_names(model: Model) -> dict:
 
 def _material(container: Container, model: Model, textures: Textures) -> dict:
     """The material, its images appended to the buffer."""
-    material = {
+    base, orm = (_texture(container, name, getattr(textures, name)) for name in ("base_color", "orm"))
+    material: dict = {
         "name": model.name,
         "pbrMetallicRoughness": {
-            "baseColorTexture": _texture(container, "base_color", textures.base_color),
-            "metallicRoughnessTexture": _texture(container, "orm", textures.orm),
+            "baseColorTexture": base,
+            "metallicRoughnessTexture": orm,
             "metallicFactor": 1.0,
             "roughnessFactor": 1.0,
         },
@@ -123,6 +133,8 @@ def _material(container: Container, model: Model, textures: Textures) -> dict:
     if model.alpha_mode == "MASK":
         material["alphaCutoff"] = float(model.alpha_cutoff)
     extensions: dict = {}
+    if textures.has_occlusion:
+        material["occlusionTexture"] = dict(orm)
     if textures.specular_color is not None:
         color = _texture(container, "specular_color", textures.specular_color)
         extensions["KHR_materials_specular"] = {"specularColorTexture": color}

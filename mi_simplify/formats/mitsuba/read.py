@@ -199,7 +199,7 @@ class _Shapes:
         uvs = None
         if patch.uvs is not None:
             material = self._with_turned_normals(material, look, mapping, patch.uvs[patch.faces])
-            uvs = mapping.apply(patch.uvs, name, self.resources).astype(np.float32)
+            uvs = mapping.apply(patch.uvs).astype(np.float32)
         return Part(patch.vertices, patch.faces, patch.normals.astype(np.float32), uvs, colors, material, name)
 
     def _with_turned_normals(self, material: Material, look: Look, mapping: Mapping, corner: np.ndarray) -> Material:

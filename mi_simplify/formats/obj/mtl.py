@@ -1,22 +1,27 @@
 """
 Wavefront MTL material libraries as metallic-roughness materials.
 
-Read: ``Kd``, ``map_Kd``, ``d``, ``Tr``, ``map_d`` and the physically based extension ``Pr``, ``Pm``, ``map_Pr``,
-``map_Pm``, ``norm``. ``Ks`` and ``Ns`` are ignored (docs/conventions.md): the Phong lobe has no exact counterpart, and
-files carry them by habit. ``Kd`` is an sRGB colour, as three.js and most exporters to glTF take it, and a ``map_Kd``
-replaces it.
+Read: ``Kd``, ``map_Kd``, ``d``, ``Tr``, ``map_d``, ``Ke``, ``map_Ke`` and the physically based extension ``Pr``,
+``Pm``, ``map_Pr``, ``map_Pm``, ``norm``; of texture options ``-o``, ``-s`` and ``-clamp``. ``Ks`` and ``Ns`` are
+ignored (docs/conventions.md): the Phong lobe has no exact counterpart, and files carry them by habit. ``Kd`` is an sRGB
+colour, as three.js and most exporters to glTF take it, and a ``map_Kd`` replaces it; ``Ke`` is radiance, linear, and
+multiplies ``map_Ke`` where it is not black.
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from ...model.asset import Material
 from ...model.color import srgb_to_linear
+from ...model.emission import ambient_of, own_emission
 from ..images import constant, is_normal_map, join_channels, opacity, rgb, to_float, unit_normals
+from ..mapping import Mapping, Mappings
 from ..resources import MissingFile, Resources, as_utf8, printable, read_bytes
+from ..textures import HOLDS_AMBIENT
 
 #: Arguments that each option of a texture statement takes at most; numbers only for ``-o -s -t``.
 _OPTIONS = {
@@ -24,13 +29,19 @@ _OPTIONS = {
     "-imfchan": 1, "-type": 1, "-cc": 1,
 }  # fmt: skip
 
+#: Which texture of a material a statement becomes, or joins; the others are normal maps.
+_TEXTURES = {
+    "map_kd": "base_color", "map_d": "base_color", "map_pr": "specular", "map_pm": "specular", "map_ke": "emission",
+}  # fmt: skip
+
 #: Statements of the format that have no counterpart here and are worth a line where they say something.
-_LEFT_OUT = {"map_ke": "emission", "map_ks": "specular colour", "disp": "displacement", "decal": "decal"}
+_LEFT_OUT = {"map_ks": "specular colour", "disp": "displacement", "decal": "decal"}
 
 
-def read_mtl(name: str, resources: Resources) -> dict[str, Material]:
+def read_mtl(name: str, resources: Resources) -> dict[str, tuple[Material, tuple[Mapping, ...]]]:
     """
-    Materials of a library by name; empty, with a note, where the library is missing.
+    Materials of a library by name, and the coordinates that their lookups number, for texture coordinates with their
+    origin at the top left; empty, with a note, where the library is missing.
 
     Parameters
     ----------
@@ -54,27 +65,38 @@ def read_mtl(name: str, resources: Resources) -> dict[str, Material]:
                     f"material library '{printable(part)}' does not exist; its materials are the default grey"
                 )
     statements: dict[str, dict[str, str]] = {}
-    places: dict[str, Path] = {}
+    places: dict[str, tuple[Path, np.ndarray | None]] = {}
     for path in paths:
         current: dict[str, str] = {}
-        data = read_bytes(path, f"{resources.model.name}: material library")
-        for line in as_utf8(data).decode("utf-8", "replace").replace("\\\n", " ").splitlines():
+        data = as_utf8(read_bytes(path, f"{resources.model.name}: material library"))
+        ours = re.search(f"# {HOLDS_AMBIENT}: ([^\n]*)\n".encode(), data[:400])
+        ambient = None if ours is None else ambient_of(ours[1].decode("utf-8", "replace"))
+        for line in data.decode("utf-8", "replace").replace("\\\n", " ").splitlines():
             words = line.split(None, 1)
             key, value = (words + ["", ""])[:2]
             key, value = key.lower(), value.strip()
             if key == "newmtl":
                 current = statements.setdefault(value, {})
-                places[value] = path
+                places[value] = path, ambient
             elif key and not key.startswith("#"):
                 current[key] = value
-    return {name: _material(name, values, _Library(resources, places[name])) for name, values in statements.items()}
+    out = {}
+    for name, values in statements.items():
+        path, ambient = places[name]
+        library = _Library(resources, path)
+        material = _material(name, values, library)
+        if ambient is not None and len(ambient) == 1:
+            material = own_emission(material, ambient)
+        out[name] = material, library.mappings.places
+    return out
 
 
 class _Library:
-    """A library's file: where the names in it are looked for first."""
+    """A library's file, where the names in it are looked for first; of one material, where its textures are."""
 
     def __init__(self, resources: Resources, path: Path):
         self._resources, self._path = resources, path
+        self.mappings = Mappings()
 
     def image(self, uri: str) -> np.ndarray:
         return self._resources.image(uri, self._path)
@@ -98,15 +120,27 @@ def _material(name: str, values: dict[str, str], library: _Library) -> Material:
     for key, meaning in _LEFT_OUT.items():
         if key in values:
             library.note(f"{meaning} texture of material '{name}' ({key}) was left out")
-    if any(_numbers(values.get("ke"))):
-        library.note(f"emission of material '{name}' (Ke) was left out")
+    normal, emission = _normal_map(name, values, library), _emission(values, library)
     return Material(
         name=name,
         base_color=join_channels(color, alpha),
         specular=join_channels(constant(0), roughness, metallic),
-        normal=_normal_map(name, values, library),
+        normal=normal,
         alpha_mode=mode,
+        emission=emission,
+        lookups=library.mappings.lookups,
     )
+
+
+def _emission(values: dict[str, str], library: _Library) -> np.ndarray | None:
+    """Linear radiance, shape (H, W, 3); None for none."""
+    numbers = _numbers(values.get("ke"))
+    factor = np.maximum(np.array((numbers * 3)[:3] if len(numbers) < 3 else numbers[:3], np.float32), 0)
+    factor = factor if len(factor) else np.zeros(3, np.float32)
+    image = _texture(values, "map_ke", library)
+    if image is None:
+        return constant(*factor) if factor.any() else None
+    return to_float(rgb(image), srgb=True) * (factor if factor.any() else np.ones(3, np.float32))
 
 
 def _opacity(name: str, values: dict[str, str], library: _Library) -> tuple[np.ndarray, str]:
@@ -156,6 +190,7 @@ def _normal_map(name: str, values: dict[str, str], library: _Library) -> np.ndar
 def _texture(values: dict[str, str], key: str, library: _Library) -> np.ndarray | None:
     """The decoded image of a texture statement, shape (H, W, C), or None."""
     words = values.get(key, "").split(" ")
+    offset, scale, wrap = np.zeros(2), np.ones(2), "repeat"
     while words and (words[0] == "" or words[0].lower() in _OPTIONS):
         if words[0] == "":
             words.pop(0)
@@ -164,11 +199,25 @@ def _texture(values: dict[str, str], key: str, library: _Library) -> np.ndarray 
         arguments: list[str] = []
         while len(arguments) < _OPTIONS[option] and words and (_is_number(words[0]) or not arguments):
             arguments.append(words.pop(0))
-        neutral = {"-o": 0.0, "-t": 0.0, "-s": 1.0, "-bm": 1.0}.get(option)
+        numbers = [float(a) for a in arguments[:2] if _is_number(a)]
+        if option == "-clamp" and arguments[0].lower() == "on":
+            wrap = "clamp"
+        elif option in ("-o", "-s") and np.isfinite(numbers).all():
+            (offset if option == "-o" else scale)[: len(numbers)] = numbers
+        neutral = {"-t": 0.0, "-bm": 1.0}.get(option)
         if neutral is not None and any(_is_number(a) and float(a) != neutral for a in arguments):
             library.note(f"option '{option} {' '.join(arguments)}' of {key} was left out")
     uri = " ".join(words).strip().strip('"')
-    return library.image(uri) if uri else None
+    if not uri:
+        return None
+    (su, sv), (u, v) = scale, offset
+    moved = bool(offset.any() or (scale != 1).any())
+    # Of coordinates that grow upwards: v' = sv v + o; ours grow downwards.
+    transform = np.array([[su, 0, u], [0, sv, 1 - sv - v]]) if moved else None
+    if not library.mappings.take(_TEXTURES.get(key, "normal"), Mapping(0, transform, (wrap, wrap))):
+        library.note(f"{key} was left out: its options are not those of the texture that it is joined with")
+        return None
+    return library.image(uri)
 
 
 def _is_number(word: str) -> bool:

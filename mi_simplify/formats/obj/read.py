@@ -15,6 +15,7 @@ import numpy as np
 from ...errors import MeshError
 from ...model.asset import Asset, Instance, Material, Part
 from ...model.color import srgb_to_linear
+from ..mapping import Mapping, placed
 from ..polygons import smooth_normals, split_corners
 from ..resources import Resources, as_utf8, read_bytes
 from ..triangulate import triangulate
@@ -73,8 +74,12 @@ def read_obj(path: Path) -> Asset:
     for members in objects.values():
         index, normals = _fill_normals(faces.index, [by_key[k] for k in members], table)
         for k in members:
-            material = materials.get(keys[k][2], Material())
-            parts.append(_part(keys[k][1], by_key[k], index, {**table, "vn": normals}, material, notes))
+            material, places = materials.get(keys[k][2], (Material(), ()))
+            part = _part(keys[k][1], by_key[k], index, {**table, "vn": normals}, material, notes)
+            if part.uvs is not None and places:
+                first, *more = placed(places, [part.uvs] * len(places))
+                part = replace(part, uvs=first, more_uvs=tuple(more))
+            parts.append(part)
     instances = tuple(Instance(i, name=part.name) for i, part in enumerate(parts))
     return Asset(tuple(parts), instances, notes=tuple(notes))
 
@@ -138,7 +143,7 @@ def _owners(lines: _Lines, faces: _Faces, resources: Resources) -> tuple[dict, n
     """
     Materials by name, an index into the keys for every face, and the keys (object number, part name, material name).
     """
-    materials: dict[str, Material] = {}
+    materials: dict[str, tuple[Material, tuple[Mapping, ...]]] = {}
     libraries: set[str] = set()
     obj, obj_name, material = 0, resources.model.stem, ""
     keys: dict[tuple, int] = {(0, obj_name, ""): 0}

@@ -13,7 +13,7 @@ from ...errors import MeshError
 from ...machine.files import side_file_stem, write_atomic
 from ...model.model import Model
 from ..origin import recentred
-from ..textures import Textures, encode_textures, png
+from ..textures import HOLDS_AMBIENT, Textures, encode_textures, png
 
 
 def write_obj(model: Model, path: str | Path) -> Path:
@@ -22,8 +22,8 @@ def write_obj(model: Model, path: str | Path) -> Path:
 
     Positions stay welded (``v/vt/vn`` indices). The library uses the PBR keywords ``norm``,
     ``map_Pr`` and ``map_Pm`` beside ``map_Kd``; opacity leaves as ``map_d`` (cut to 0 or 1 under
-    MASK). Gamma of dielectrics has no keyword and is lost. A model far from the origin is stored
-    around it, and a comment in the head says where its origin stands, for :func:`.read.read_obj`.
+    MASK), emission as ``map_Ke``. Gamma of dielectrics and occlusion have no keyword and are lost. A model far from the
+    origin is stored around it, and a comment in the head says where its origin stands, for :func:`.read.read_obj`.
 
     Parameters
     ----------
@@ -51,7 +51,8 @@ def write_obj(model: Model, path: str | Path) -> Path:
     images = _images(model, textures)
     for key, image in images.items():
         write_atomic(path.with_name(f"{stem}_{key}.png"), png(image))
-    write_atomic(path.with_name(f"{stem}.mtl"), _library(stem, images, textures.emission_strength))
+    library = _library(stem, images, textures.emission_strength, model.ambient if textures.holds_ambient else None)
+    write_atomic(path.with_name(f"{stem}.mtl"), library)
     return write_atomic(path, _mesh(model, stem, origin))  # last: what names the others
 
 
@@ -73,11 +74,14 @@ def _images(model: Model, textures: Textures) -> dict[str, np.ndarray]:
     return images
 
 
-def _library(stem: str, images: dict[str, np.ndarray], emission: float) -> str:
+def _library(stem: str, images: dict[str, np.ndarray], emission: float, ambient: np.ndarray | None) -> str:
     """The material library; factors are 1 so that readers which multiply and readers which replace agree."""
     keywords = {"base_color": "map_Kd", "normal": "norm", "roughness": "map_Pr", "metallic": "map_Pm"}
     keywords |= {"opacity": "map_d", "emission": "map_Ke"}
-    lines = [f"# mi_simplify {__version__}", f"newmtl {stem}", "Kd 1 1 1", "Pr 1", "Pm 1", "illum 2"]
+    lines = [f"# mi_simplify {__version__}"]
+    if ambient is not None:
+        lines.append(f"# {HOLDS_AMBIENT}: " + " ".join(f"{x:.6g}" for x in ambient.ravel()))
+    lines += [f"newmtl {stem}", "Kd 1 1 1", "Pr 1", "Pm 1", "illum 2"]
     if "emission" in images:
         lines.append(f"Ke {emission:.6g} {emission:.6g} {emission:.6g}")
     lines += [f"{keywords[key]} {stem}_{key}.png" for key in images]

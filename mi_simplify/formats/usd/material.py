@@ -14,10 +14,18 @@ from pxr import Ar, Sdf, Usd, UsdShade
 from ...errors import AssetError
 from ...model.asset import Material
 from ..images import constant, join_channels, opacity, rgb, to_float, unit_normals
-from ..mapping import Mapping
+from ..mapping import Mapping, Mappings
 from ..resources import Resources
 
-_DEFAULTS = {"diffuseColor": (0.18, 0.18, 0.18), "roughness": 0.5, "metallic": 0.0, "opacity": 1.0}
+_DEFAULTS = {
+    "diffuseColor": (0.18, 0.18, 0.18), "roughness": 0.5, "metallic": 0.0, "opacity": 1.0,
+    "emissiveColor": (0.0, 0.0, 0.0), "occlusion": 1.0,
+}  # fmt: skip
+#: Which texture of a material an input becomes, or joins.
+_TEXTURES = {
+    "diffuseColor": "base_color", "opacity": "base_color", "roughness": "specular", "metallic": "specular",
+    "normal": "normal", "emissiveColor": "emission", "occlusion": "occlusion",
+}  # fmt: skip
 _CHANNELS = {"r": [0], "g": [1], "b": [2], "a": [3], "rgb": [0, 1, 2], "rgba": [0, 1, 2]}
 
 
@@ -42,7 +50,9 @@ def material_path(material: UsdShade.Material | None) -> str:
     return str((prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath())
 
 
-def read_usd_material(material: UsdShade.Material, resources: Resources) -> tuple[Material, Mapping | None, str | None]:
+def read_usd_material(
+    material: UsdShade.Material, resources: Resources
+) -> tuple[Material, tuple[Mapping, ...], str | None]:
     """
     A UsdPreviewSurface as a material.
 
@@ -50,8 +60,8 @@ def read_usd_material(material: UsdShade.Material, resources: Resources) -> tupl
     -------
     material : Material
         The default where the prim has no UsdPreviewSurface, with a note.
-    mapping : Mapping or None
-        Where its textures are looked up, in USD's coordinates (origin bottom left); None without textures.
+    places : tuple of Mapping
+        The coordinates that the material's lookups number, USD's own (origin bottom left); empty without textures.
     color_primvar : str or None
         The primvar that the diffuse colour is read from; the base colour is white then.
     """
@@ -60,15 +70,15 @@ def read_usd_material(material: UsdShade.Material, resources: Resources) -> tupl
     if not shader or shader.GetShaderId() != "UsdPreviewSurface":
         kind = f"'{shader.GetShaderId()}'" if shader else "none that this build of USD can read"
         resources.note(f"material '{name}' has no UsdPreviewSurface (its surface is {kind}); the default grey is used")
-        return Material(), None, None
+        return Material(), (), None
     reader = _Reader(shader, name, resources)
-    return reader.read(), reader.mapping, reader.color_primvar
+    return reader.read(), reader.mappings.places, reader.color_primvar
 
 
 class _Reader:
     def __init__(self, shader: UsdShade.Shader, name: str, resources: Resources):
         self.shader, self.name, self.resources = shader, name, resources
-        self.mapping: Mapping | None = None
+        self.mappings = Mappings()
         self.color_primvar: str | None = None
 
     def read(self) -> Material:
@@ -80,7 +90,9 @@ class _Reader:
             metallic = constant(0)
         threshold = float(_plain(self.shader, "opacityThreshold", 0.0))
         mode = "MASK" if threshold > 0 else "BLEND" if alpha.size > 1 or alpha.max() < 1 else "OPAQUE"
-        for key, neutral in (("emissiveColor", 0), ("clearcoat", 0), ("displacement", 0)):
+        emission = np.maximum(self._value("emissiveColor", color=True), 0)
+        occlusion = np.clip(self._value("occlusion"), 0, 1)
+        for key, neutral in (("clearcoat", 0), ("displacement", 0)):
             source = _source(self.shader, key)
             value = _plain(self.shader, key, neutral)
             if source is not None or (value is not None and np.any(np.asarray(value, float) != neutral)):
@@ -92,6 +104,9 @@ class _Reader:
             normal=self._normal(),
             alpha_mode=mode,
             alpha_cutoff=threshold if threshold > 0 else 0.5,
+            emission=emission if emission.any() else None,
+            occlusion=occlusion if (occlusion < 1).any() else None,
+            lookups=self.mappings.lookups,
         )
 
     def _value(self, key: str, color: bool = False) -> np.ndarray:
@@ -133,13 +148,11 @@ class _Reader:
 
     def _texture(self, shader: UsdShade.Shader, key: str, is_color: bool) -> np.ndarray | None:
         """
-        A texture with scale and bias, linear, shape (H, W, 4); None where its coordinates are not the first texture's.
+        A texture with scale and bias, linear, shape (H, W, 4); None where its coordinates are not those of the texture
+        that it has to join.
         """
-        mapping = self._mapping(shader)
-        if self.mapping is None:
-            self.mapping = mapping
-        elif not mapping.same_place(self.mapping):
-            self._note(key, "was left out: its texture coordinates are not the first texture's")
+        if not self.mappings.take(_TEXTURES[key], self._mapping(shader)):
+            self._note(key, "was left out: its coordinates are not those of the texture that it is joined with")
             return None
         pixels = self._pixels(shader, key)
         space = str(_plain(shader, "sourceColorSpace", "auto"))
@@ -197,7 +210,7 @@ def _reader_of(opened: Any) -> Callable[[], bytes]:
 
 def _wrap(shader: UsdShade.Shader, key: str) -> str:
     found = str(_plain(shader, key, "repeat"))
-    return found if found in ("mirror", "clamp", "black") else "repeat"
+    return {"black": "clamp"}.get(found, found) if found in ("mirror", "clamp", "black") else "repeat"
 
 
 def _attributes(shader: UsdShade.Shader, key: str) -> list:

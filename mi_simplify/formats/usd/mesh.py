@@ -13,7 +13,7 @@ from ...errors import MeshError
 from ...machine import memory
 from ...model.asset import FEWER_INSTANCES, PER_CORNER, Material, Part
 from ...model.rig import Skin
-from ..mapping import Mapping
+from ..mapping import Mapping, placed
 from ..polygons import smooth_normals, split_corners, unique_rows
 from ..resources import Resources
 from ..triangulate import triangulate
@@ -39,7 +39,7 @@ class Meshes:
 
     def __init__(self, resources: Resources, skeletons: Skeletons):
         self.resources, self._skeletons = resources, skeletons
-        self._materials: dict[str, tuple[Material, Mapping | None, str | None]] = {}
+        self._materials: dict[str, tuple[Material, tuple[Mapping, ...], str | None]] = {}
 
     def parts(self, prim: Usd.Prim, query: UsdSkel.SkinningQuery | None = None) -> list[Part]:
         """
@@ -91,7 +91,7 @@ class Meshes:
     def _solid(self, prim: Usd.Prim, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Part:
         """A sphere, cube, … of one colour: it has no texture coordinates."""
         bound = bound_material(prim)
-        material, mapping, _ = self._material(bound)
+        material, places, _ = self._material(bound)
         if bound is None:
             values = (
                 UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(n) for n in ("displayColor", "displayOpacity")
@@ -101,7 +101,7 @@ class Meshes:
                 None if color is None or len(color) < 3 else color[:3],
                 None if alpha is None or not len(alpha) else alpha[0],
             )
-        elif mapping is not None:
+        elif places:
             self.resources.note(f"'{prim.GetName()}' has textures but no texture coordinates; they show one texel")
         if prim.GetAttribute("orientation").Get(TIME) == UsdGeom.Tokens.leftHanded:
             faces, normals = faces[:, ::-1], -normals
@@ -109,7 +109,7 @@ class Meshes:
 
     def _part(self, name, bound, corners, points, index, normals, reader, skin: Skin | None) -> Part:
         """Corners, shape (F, 3), of one material as a part."""
-        material, mapping, color_primvar = self._material(bound)
+        material, places, color_primvar = self._material(bound)
         flat = corners.reshape(-1)
         color_rows = None
         if bound is None:
@@ -117,21 +117,22 @@ class Meshes:
             material, color_rows = _displayed(color, alpha)
         elif color_primvar:
             color_rows = reader.primvar(color_primvar, 3)
-        attributes = [normals, reader.uvs(mapping), color_rows]
-        first, vertex = split_corners(index[flat], *(a[1][flat] for a in attributes if a is not None))
-        chosen = flat[first]
+        attributes = [normals, color_rows, *(reader.uvs(place) for place in places or (None,))]
+        corner, vertex = split_corners(index[flat], *(a[1][flat] for a in attributes if a is not None))
+        chosen = flat[corner]
         of_vertex = [None if a is None else a[0][a[1][chosen]] for a in attributes]
-        uvs, colors = of_vertex[1:]
-        if uvs is not None:
-            if mapping is not None:
-                uvs = mapping.apply(uvs, name, self.resources)
-            uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1)
-        elif mapping is not None:
-            self.resources.note(f"'{name}' has textures but no primvar '{mapping.set}'; they show one texel")
+        colors, uvs = of_vertex[1], of_vertex[2:]
+        for place, found in zip(places, uvs, strict=False):
+            if found is None:
+                self.resources.note(f"'{name}' has textures but no primvar '{place.set}'; they show one texel")
+        first, *more = (_from_the_top(x) for x in placed(places, uvs))
         if colors is not None and colors.shape[1] == 3:
             colors = np.concatenate([colors, np.ones((len(colors), 1))], axis=1)
         skin = None if skin is None else skin.taken(index[chosen])
-        return Part(points[index[chosen]], vertex.reshape(-1, 3), of_vertex[0], uvs, colors, material, name, skin)
+        return Part(
+            points[index[chosen]], vertex.reshape(-1, 3), of_vertex[0], first, colors, material, name, skin,
+            tuple(x for x in more if x is not None),
+        )  # fmt: skip
 
     def _owners(self, prim: Usd.Prim, n_faces: int) -> tuple[np.ndarray, list]:
         """The material of every face as an index into a list of bound materials, None where there is none."""
@@ -144,13 +145,18 @@ class Meshes:
             materials.append(bound_material(subset.GetPrim()))
         return owner, materials
 
-    def _material(self, bound: UsdShade.Material | None) -> tuple[Material, Mapping | None, str | None]:
+    def _material(self, bound: UsdShade.Material | None) -> tuple[Material, tuple[Mapping, ...], str | None]:
         if bound is None:
-            return Material(), None, None
+            return Material(), (), None
         key = material_path(bound)
         if key not in self._materials:
             self._materials[key] = read_usd_material(bound, self.resources)
         return self._materials[key]
+
+
+def _from_the_top(uvs: np.ndarray | None) -> np.ndarray | None:
+    """Texture coordinates of USD, whose v grows upwards, as ours."""
+    return None if uvs is None else np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1)
 
 
 class _Corners:

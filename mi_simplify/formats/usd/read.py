@@ -16,8 +16,10 @@ from pxr import Tf, Usd, UsdGeom, UsdUtils
 from ...errors import AssetError
 from ...machine import memory
 from ...model.asset import FEWER_INSTANCES, PER_INSTANCE, Asset, Instance, Part
+from ...model.emission import ambient_of, without_ambient
 from ..influences import renumbered
 from ..resources import Resources
+from ..textures import HOLDS_AMBIENT
 from ..validate import check_indices
 from .layers import LONGEST, check_layers, reason_of, rehearse
 from .material import bound_material, material_path
@@ -91,11 +93,19 @@ class _Stage:
     def read(self) -> Asset:
         self._collect(self.stage.GetPseudoRoot(), self.up)
         if all(part.skin is None for part in self.parts):
-            return Asset(tuple(self.parts), tuple(self.instances))
+            return self._finished(Asset(tuple(self.parts), tuple(self.instances)))
         rig, new, joints = self._skeletons.rig([c for c in self._carriers if c is not None])
         is_rigid = [c is not None for c in self._carriers]
         parts, instances = renumbered(self.parts, self.instances, is_rigid, new, joints)
-        return Asset(parts, instances, rig=rig)
+        return self._finished(Asset(parts, instances, rig=rig))
+
+    def _finished(self, asset: Asset) -> Asset:
+        """With what the layer says of itself."""
+        about = self.stage.GetRootLayer().customLayerData
+        if about.get(HOLDS_AMBIENT):
+            asset = without_ambient(asset, ambient_of(about.get("ambient")))
+        notice = about.get("copyright")
+        return replace(asset, metadata={"copyright": notice} if isinstance(notice, str) else {})
 
     def _collect(self, root: Usd.Prim, to_world: np.ndarray, depth: int = 0) -> None:
         """Place everything visible below a prim, its world transforms put behind ``to_world``."""

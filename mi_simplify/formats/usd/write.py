@@ -14,7 +14,7 @@ from ...errors import MeshError
 from ...machine.files import side_file_stem, write_atomic
 from ...model.model import Model
 from ..origin import recentred
-from ..textures import encode_textures, png
+from ..textures import HOLDS_AMBIENT, Textures, encode_textures, png
 from .write_skeleton import bind_skeleton
 
 
@@ -49,15 +49,17 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
     model, origin = recentred(model)
     stem = side_file_stem(path)
     textures = encode_textures(model)
-    emission = None if textures.emission is None else textures.emission_strength
-    for key in ("base_color", "orm", "normal", *(() if emission is None else ("emission",))):
+    for key in ("base_color", "orm", "normal", *(() if textures.emission is None else ("emission",))):
         write_atomic(path.with_name(f"{stem}_{key}.png"), png(getattr(textures, key)))
 
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     layer = stage.GetRootLayer()
-    layer.customLayerData = {"creator": f"mi_simplify {__version__}", **(extras or {})}
+    about = dict(extras or {}) | ({HOLDS_AMBIENT: True} if textures.holds_ambient else {})
+    if isinstance(notice := model.metadata.get("copyright"), str):
+        about["copyright"] = notice
+    layer.customLayerData = {"creator": f"mi_simplify {__version__}", **about}
     kind = UsdGeom.Xform if model.skin is None else UsdSkel.Root
     root = kind.Define(stage, "/" + Tf.MakeValidIdentifier(model.name or "model"))
     stage.SetDefaultPrim(root.GetPrim())
@@ -65,7 +67,7 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
         root.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*origin.tolist()))
     Usd.ModelAPI(root).SetKind("component")
     mesh = _mesh(stage, root.GetPath().AppendChild("mesh"), model)
-    material = _material(stage, root.GetPath().AppendChild("material"), model, stem, emission)
+    material = _material(stage, root.GetPath().AppendChild("material"), model, stem, textures)
     UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
     if model.skin is not None:
         bind_skeleton(stage, root, mesh, model.mesh, model.skin)
@@ -103,7 +105,7 @@ def _mesh(stage: Usd.Stage, path: Sdf.Path, model: Model) -> UsdGeom.Mesh:
     return mesh
 
 
-def _material(stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str, emission: float | None) -> UsdShade.Material:
+def _material(stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str, textures: Textures) -> UsdShade.Material:
     """Metallic-roughness UsdPreviewSurface, one texture reader per file."""
     material = UsdShade.Material.Define(stage, path)
     surface = _shader(stage, path, "surface", "UsdPreviewSurface")
@@ -134,8 +136,10 @@ def _material(stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str, emissio
     normal.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(2, 2, 2, 1))  # [0, 1] to [-1, 1]
     normal.CreateInput("bias", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(-1, -1, -1, 0))
     connect("normal", Sdf.ValueTypeNames.Normal3f, normal, "rgb")
-    if emission is not None:
-        glow = texture("emission", "sRGB")
+    if textures.has_occlusion:
+        connect("occlusion", Sdf.ValueTypeNames.Float, orm, "r")
+    if textures.emission is not None:
+        glow, emission = texture("emission", "sRGB"), textures.emission_strength
         glow.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(emission, emission, emission, 1))
         connect("emissiveColor", Sdf.ValueTypeNames.Color3f, glow, "rgb")
     if model.alpha_mode != "OPAQUE":

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import MeshError
 from ...machine.runtime import ensure_variant
 from ...machine.upload import upload
-from ...model.asset import Asset
+from ...model.asset import Asset, Material
 from ...model.mesh import Mesh
 from ...model.topology import area_vectors
 from ..closest import ClosestPoints, sample_surface
@@ -41,6 +41,10 @@ class Baked:
         Texels that a triangle touches; the others repeat the nearest of them.
     missed : float
         Share of the samples whose ray met nothing suitable; they took the closest point of the reference.
+    emission : ndarray, shape (H, W, 3), float32, or None
+        Linear; None where no material has any.
+    occlusion : ndarray, shape (H, W, 1), float32, or None
+        None where no material has any.
     """
 
     base_color: np.ndarray
@@ -49,6 +53,8 @@ class Baked:
     height: np.ndarray
     covered: np.ndarray
     missed: float
+    emission: np.ndarray | None = None
+    occlusion: np.ndarray | None = None
 
 
 def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach: float | None = None) -> Baked:
@@ -76,14 +82,14 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
     ensure_variant()
     from ...machine.meshes import MISS
     from .decals import seen
-    from .lookup import Detail, LowPoly  # their classes need a variant
+    from .lookup import N_VALUES, Detail, LowPoly  # their classes need a variant
 
     soup, _ = clean(merge(asset))
     closest = ClosestPoints(soup.vertices, soup.faces)
     low = LowPoly(mesh, reaches(mesh, closest, soup.diagonal) if reach is None else np.full(len(mesh.positions), reach))
     detail = Detail(soup)
 
-    total = [mi.Float(0)] * 15
+    total = [mi.Float(0)] * (N_VALUES + 1)
     n_missed = 0
     for k in range(samples * samples):
         points = low.points(size, ((k % samples + 0.5) / samples, (k // samples + 0.5) / samples))
@@ -101,23 +107,26 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
         values = [*seen(detail, points, hits), dr.select(points.active, mi.Float(1), 0)]
         total = [a + b for a, b in zip(total, values, strict=True)]
         dr.eval(total)
-    sums = np.stack([x.numpy() for x in total], 1).reshape(size, size, 15)
-    if not sums[..., 14].any():
+    sums = np.stack([x.numpy() for x in total], 1).reshape(size, size, N_VALUES + 1)
+    if not sums[..., N_VALUES].any():
         raise MeshError("the low-poly mesh covers no texel; it needs texture coordinates")
-    return _finish(sums, n_missed / sums[..., 14].sum())
+    return _finish(sums, soup.materials, n_missed / sums[..., N_VALUES].sum())
 
 
-def _finish(sums: np.ndarray, missed: float) -> Baked:
+def _finish(sums: np.ndarray, materials: tuple[Material, ...], missed: float) -> Baked:
     """Averages of the sums of :meth:`Detail.shade` and their count; the background filled."""
-    count = sums[..., 14:]
+    count = sums[..., -1:]
     covered = count[..., 0] > 0
-    mean = sums[..., :14] / np.maximum(count, 1)
+    mean = sums[..., :-1] / np.maximum(count, 1)
     opacity = mean[..., 6:7]
     rgb = np.where(opacity > 1e-3, mean[..., :3] / np.maximum(opacity, 1e-3), mean[..., 3:6])
     normal = mean[..., 10:13] / np.maximum(np.linalg.norm(mean[..., 10:13], axis=2, keepdims=True), 1e-6)
     images = [np.concatenate([rgb, opacity], 2), mean[..., 7:10], normal, mean[..., 13:14]]
-    base_color, specular, normal, height = dilate([x.astype(np.float32) for x in images], covered)
-    return Baked(base_color, specular, normal, height, covered, float(missed))
+    has_emission, has_occlusion = (any(getattr(m, k) is not None for m in materials) for k in ("emission", "occlusion"))
+    images += [mean[..., 14:17]] * has_emission + [mean[..., 17:18]] * has_occlusion
+    base_color, specular, normal, height, *more = dilate([x.astype(np.float32) for x in images], covered)
+    emission, occlusion = more[0] if has_emission else None, more[-1] if has_occlusion else None
+    return Baked(base_color, specular, normal, height, covered, float(missed), emission, occlusion)
 
 
 def reaches(mesh: Mesh, closest: ClosestPoints, diagonal: float) -> np.ndarray:

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ...machine.meshes import MISS
-from .lookup import Detail, Points, SurfacePoints
+from .lookup import N_VALUES, Detail, Points, SurfacePoints
 
 #: How far from a surface a layer still lies on it [diagonals of the asset]; modellers lift decals by half of it.
 NEAR = 2e-3
@@ -28,7 +28,7 @@ def seen(detail: Detail, s: Points, hits: SurfacePoints) -> list[mi.Float]:
     own = detail.shade(s, hits)
     if not dr.any(detail.blended):
         return own
-    sums, left = [mi.Float(0)] * 14, mi.Float(1)
+    sums, left = [mi.Float(0)] * N_VALUES, mi.Float(1)
     near = detail.diagonal * NEAR
     p, gap = detail.position(hits), 10 * detail.step
     t = mi.Float(0)
@@ -42,9 +42,9 @@ def seen(detail: Detail, s: Points, hits: SurfacePoints) -> list[mi.Float]:
         sums, left = _behind(sums, left, _visible(detail, s, layer))
     opacity = sums[6]
     means = [
-        dr.select(opacity > 1e-3, x / dr.maximum(opacity, 1e-3), y) for x, y in zip(sums[7:13], own[7:13], strict=True)
+        dr.select(opacity > 1e-3, x / dr.maximum(opacity, 1e-3), y) for x, y in zip(sums[7:], own[7:], strict=True)
     ]
-    return [*sums[:3], *own[3:6], opacity, *means, own[13]]
+    return [*sums[:3], *own[3:6], opacity, *means[:6], own[13], *means[7:]]
 
 
 def _visible(detail: Detail, s: Points, hits: SurfacePoints) -> list[mi.Float]:
@@ -57,7 +57,7 @@ def _visible(detail: Detail, s: Points, hits: SurfacePoints) -> list[mi.Float]:
 def _behind(sums: list[mi.Float], left: mi.Float, layer: list[mi.Float]) -> tuple[list[mi.Float], mi.Float]:
     """A layer behind those that are summed, through which a share ``left`` can be seen."""
     share = left * layer[6]
-    weights = [left] * 3 + [mi.Float(0)] * 3 + [left] + [share] * 6 + [mi.Float(0)]
+    weights = [left] * 3 + [mi.Float(0)] * 3 + [left] + [share] * (N_VALUES - 7)
     sums = [x + w * y for x, w, y in zip(sums, weights, layer, strict=True)]
     left = left - share
     dr.eval(sums, left)

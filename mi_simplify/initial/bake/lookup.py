@@ -12,10 +12,15 @@ import numpy as np
 
 from ...machine.meshes import MISS, make_mesh
 from ...machine.upload import upload
+from ...machine.wrapping import WRAPS, folded
+from ...model.asset import PLAIN, Lookup
 from ...model.mesh import Mesh
 from ...model.tangents import split_mirrored, vertex_tangents
 from ...model.topology import vertex_normals, weld
 from ..soup import Soup
+
+N_VALUES = 18
+"""Numbers that :meth:`Detail.shade` tells of a point."""
 
 LOWEST = 0.05
 """Least z of a baked normal: what turns away from the low-poly surface is laid almost flat onto it."""
@@ -133,24 +138,45 @@ def _blend(packets: mi.Float, slots: int, corners: mi.Vector3u, b: mi.Point2f, a
 
 class Images:
     """
-    One texture of every material in one buffer; bilinear, repeating, texel centres at ``(k + .5) / N``.
+    One texture of every material in one buffer; bilinear, texel centres at ``(k + .5) / N``.
 
     Parameters
     ----------
     images : list of ndarray, shape (H, W, C)
         C at most 4.
+    lookups : list of Lookup
+        Where each of them is looked up.
     """
 
-    def __init__(self, images: list[np.ndarray]):
+    def __init__(self, images: list[np.ndarray], lookups: list[Lookup]):
         padded = [np.pad(np.float32(a), ((0, 0), (0, 0), (0, 4 - a.shape[2]))).reshape(-1, 4) for a in images]
         self.texels = _flat(np.concatenate(padded))
         self.first = upload(mi.UInt32, np.cumsum([0] + [len(p) for p in padded[:-1]]))
         self.width = mi.Int32([a.shape[1] for a in images])
         self.height = mi.Int32([a.shape[0] for a in images])
+        self.is_plain = all(lookup == PLAIN for lookup in lookups)
+        self.uvs = mi.UInt32([lookup.uvs for lookup in lookups])
+        self.wraps = [mi.UInt32([WRAPS.index(lookup.wraps[axis]) for lookup in lookups]) for axis in (0, 1)]
 
-    def at(self, index: mi.UInt32, uv: mi.Point2f) -> mi.Vector4f:
-        """Image ``index`` at ``uv``, v = 0 at the top."""
+    def _placed(self, index: mi.UInt32, uvs: list[mi.Point2f], size: tuple[mi.Int32, mi.Int32]) -> mi.Point2f:
+        """Where the repeating image ``index`` is looked up."""
+        if self.is_plain:
+            return uvs[0]
+        which, uv = dr.gather(mi.UInt32, self.uvs, index), uvs[0]
+        for k, more in enumerate(uvs[1:]):
+            uv = dr.select(which == k + 1, more, uv)
+        out = []
+        for x, n, wraps in zip(uv, size, self.wraps, strict=True):
+            kind = dr.gather(mi.UInt32, wraps, index)
+            for number, wrap in enumerate(WRAPS[1:], 1):
+                x = dr.select(kind == number, folded(x, n, wrap), x)
+            out.append(x)
+        return mi.Point2f(*out)
+
+    def at(self, index: mi.UInt32, uvs: list[mi.Point2f]) -> mi.Vector4f:
+        """Image ``index`` at its own of the coordinates of a point, v = 0 at the top."""
         w, h = dr.gather(mi.Int32, self.width, index), dr.gather(mi.Int32, self.height, index)
+        uv = self._placed(index, uvs, (w, h))
         first = dr.gather(mi.UInt32, self.first, index)
         x = (uv.x - dr.floor(uv.x)) * w - 0.5
         y = (uv.y - dr.floor(uv.y)) * h - 0.5
@@ -171,24 +197,34 @@ class Detail:
     """
 
     def __init__(self, soup: Soup):
-        rows = np.column_stack([soup.vertices, soup.normals, soup.uvs, soup.colors])
+        rows = np.column_stack([soup.vertices, soup.normals, soup.uvs, soup.colors, soup.more_uvs])
         rows, index = weld(rows)  # MikkTSpace shares a tangent where position, normal and UV are equal
         mesh = Mesh(rows[:, :3], np.arange(len(rows)), rows[:, 6:8].astype(np.float32), index[soup.faces])
         mesh = split_mirrored(mesh)
         rows = rows[mesh.position_index]
         whole = Mesh(rows[:, :3], np.arange(len(rows)), mesh.uvs, mesh.faces)
         tangents, w = vertex_tangents(whole, rows[:, 3:6])
-        columns = [rows[:, :3], rows[:, 6], rows[:, 3:6], rows[:, 7], tangents, w, rows[:, 8:12]]
+        more = np.pad(rows[:, 12:], ((0, 0), (0, -(rows.shape[1] - 12) % 4)))  # two pairs in a slot
+        self.slots = 4 + more.shape[1] // 4
+        columns = [rows[:, :3], rows[:, 6], rows[:, 3:6], rows[:, 7], tangents, w, rows[:, 8:12], more]
         self.packets = _flat(np.column_stack(columns))
         self.faces = upload(mi.UInt32, mesh.faces.ravel())
         self.scene = _scene(rows[:, :3], mesh.faces)
         self.diagonal, self.step = mi.Float(soup.diagonal), mi.Float(1e-6 * soup.diagonal)
 
         self.material = upload(mi.UInt32, soup.material_index)
-        self.base_color = Images([m.base_color for m in soup.materials])
-        self.specular = Images([m.specular for m in soup.materials])
-        flat = np.array([[[0, 0, 1]]], np.float32)
-        self.normal = Images([flat if m.normal is None else m.normal for m in soup.materials])
+
+        def images(name: str, *neutral: float) -> Images:
+            found = [getattr(m, name) for m in soup.materials]
+            default = np.array(neutral, np.float32).reshape(1, 1, -1)
+            return Images([default if x is None else x for x in found], [m.lookup(name) for m in soup.materials])
+
+        self.base_color, self.specular, self.normal = (
+            images("base_color"),
+            images("specular"),
+            images("normal", 0, 0, 1),
+        )
+        self.emission, self.occlusion = images("emission", 0, 0, 0), images("occlusion", 1)
         self.opaque = mi.Bool([m.alpha_mode == "OPAQUE" for m in soup.materials])
         self.blended = mi.Bool([m.alpha_mode == "BLEND" for m in soup.materials])
         self.cutoff = mi.Float([m.alpha_cutoff if m.alpha_mode == "MASK" else -1.0 for m in soup.materials])
@@ -197,12 +233,12 @@ class Detail:
         """
         From outside inwards along the smooth normal: of the surfaces that face alike the one closest to the point.
         """
-        return _march(self.scene, self.faces, self.packets, self.step, s)
+        return _march(self.scene, self.faces, self.packets, self.slots, self.step, s)
 
     def position(self, hits: SurfacePoints) -> mi.Point3f:
         """Where hits are; every face must exist."""
         corners = dr.gather(mi.Vector3u, self.faces, hits.face)
-        return mi.Point3f(_blend(self.packets, 4, corners, hits.b, True)[0].xyz)
+        return mi.Point3f(_blend(self.packets, self.slots, corners, hits.b, True)[0].xyz)
 
     def blends(self, hits: SurfacePoints) -> mi.Bool:
         """Whether the material of hits blends; every face must exist."""
@@ -210,7 +246,7 @@ class Detail:
 
     def face_normal(self, face: mi.UInt32, active) -> mi.Vector3f:
         """Unnormalised geometric normal of faces."""
-        return _face_normal(self.packets, dr.gather(mi.Vector3u, self.faces, face, active), active)
+        return _face_normal(self.packets, self.slots, dr.gather(mi.Vector3u, self.faces, face, active), active)
 
     def shade(self, s: Points, hits: SurfacePoints) -> list[mi.Float]:
         """
@@ -222,11 +258,14 @@ class Detail:
         Returns
         -------
         list of mi.Float
-            RGB times opacity, RGB, opacity, (gamma, roughness, metallic), tangent-space normal, height: 14 numbers.
+            RGB times opacity, RGB, opacity, (gamma, roughness, metallic), tangent-space normal, height, emission,
+            occlusion: ``N_VALUES`` numbers.
         """
         corners = dr.gather(mi.Vector3u, self.faces, hits.face)
-        pu, nv, tw, color = _blend(self.packets, 4, corners, hits.b, True)
-        uv = mi.Point2f(pu.w, nv.w)
+        pu, nv, tw, color, *more = _blend(self.packets, self.slots, corners, hits.b, True)
+        uv = [mi.Point2f(pu.w, nv.w)]
+        for pair in more:
+            uv += [mi.Point2f(pair.x, pair.y), mi.Point2f(pair.z, pair.w)]
         m = dr.gather(mi.UInt32, self.material, hits.face)
         base = self.base_color.at(m, uv) * color
         a = base.w
@@ -241,23 +280,28 @@ class Detail:
         b = dr.select(tw.w < 0, mi.Float(-1), 1) * dr.cross(n, t)
         local = self.normal.at(m, uv)
         n = dr.normalize(t * local.x + b * local.y + n * local.z)
-        n = dr.select(dr.dot(_face_normal(self.packets, corners, True), s.n) < 0, -n, n)  # seen from its back
+        n = dr.select(
+            dr.dot(_face_normal(self.packets, self.slots, corners, True), s.n) < 0, -n, n
+        )  # seen from its back
         z = dr.maximum(dr.dot(s.n, n), LOWEST)
         low = dr.normalize(mi.Vector3f(dr.dot(s.t, n), s.w * dr.dot(dr.cross(s.n, s.t), n), z))
         height = dr.dot(pu.xyz - s.p, s.n)
         rgb = base.xyz
-        values = [*(rgb * a), *rgb, a, *specular.xyz, *low, height]
+        glow, occlusion = self.emission.at(m, uv).xyz, self.occlusion.at(m, uv).x
+        values = [*(rgb * a), *rgb, a, *specular.xyz, *low, height, *glow, occlusion]
         return [dr.select(s.active, x, 0) for x in values]
 
 
-def _face_normal(packets: mi.Float, corners: mi.Vector3u, active) -> mi.Vector3f:
+def _face_normal(packets: mi.Float, slots: int, corners: mi.Vector3u, active) -> mi.Vector3f:
     """Unnormalised geometric normal."""
-    a, b, c = (dr.gather(mi.Vector4f, packets, i * 4, active).xyz for i in corners)
+    a, b, c = (dr.gather(mi.Vector4f, packets, i * slots, active).xyz for i in corners)
     return dr.cross(b - a, c - a)
 
 
 @dr.syntax
-def _march(scene: mi.Scene, faces: mi.UInt32, packets: mi.Float, step: mi.Float, s: Points) -> SurfacePoints:
+def _march(
+    scene: mi.Scene, faces: mi.UInt32, packets: mi.Float, slots: int, step: mi.Float, s: Points
+) -> SurfacePoints:
     face, b = mi.UInt32(MISS), mi.Point2f(0)
     best = mi.Float(dr.inf)
     t = mi.Float(0)  # way from the outer end
@@ -272,7 +316,7 @@ def _march(scene: mi.Scene, faces: mi.UInt32, packets: mi.Float, step: mi.Float,
         t += dr.select(active, pi.t, 0)
         corners = dr.gather(mi.Vector3u, faces, pi.prim_index, active)
         off = dr.abs(t - reach)
-        better = active & (dr.dot(_face_normal(packets, corners, active), n) > 0) & (off < best)
+        better = active & (dr.dot(_face_normal(packets, slots, corners, active), n) > 0) & (off < best)
         face = dr.select(better, pi.prim_index, face)
         b = dr.select(better, pi.prim_uv, b)
         best = dr.select(better, off, best)

@@ -36,17 +36,19 @@ class AnimatedReference:
         Image file of an environment.
     form : {'gltf', 'paper'}
         Mixing of the lobes in ``ggx_gamma``.
+    glows : bool
+        Add the emission of materials.
     """
 
     def __init__(
         self, asset: Asset, integrator: dict, spp: int, *, sky: float = 0.0, environment: str | None = None,
-        form: str = "gltf",
+        form: str = "gltf", glows: bool = False,
     ):  # fmt: skip
         bsdfs: dict[tuple, mi.BSDF] = {}
         rig = rig_of(asset)
         self._meshes = [_Posable(f"part_{k}", part, rig) for k, part in enumerate(_skinned(asset))]
         shapes = {mesh.name: mesh.shape(bsdfs, form) for mesh in self._meshes}
-        self.reference = MitsubaReference(shapes, integrator, spp)
+        self.reference = MitsubaReference(shapes, integrator, spp, glows)
         self.reference.light_up(sky, environment)
         self._frame: float | None = None
 

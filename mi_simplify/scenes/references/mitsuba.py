@@ -48,10 +48,13 @@ class MitsubaReference:
         Mitsuba integrator.
     spp : int
         Samples per pixel.
+    glows : bool
+        Add the emission of materials, see :class:`...integrators.own_light.OwnLight`.
     """
 
-    def __init__(self, shapes: dict, integrator: dict, spp: int):
+    def __init__(self, shapes: dict, integrator: dict, spp: int, glows: bool = False):
         self.shapes, self.integrator, self.spp = shapes, integrator, spp
+        self._own_light = mi.load_dict({"type": "own_light"}) if glows else None
         self.sampler: dict = {"type": "independent"}
         """Mitsuba sampler of the camera, which may be replaced before the first image."""
         self._scene: mi.Scene | None = None
@@ -107,5 +110,9 @@ class MitsubaReference:
             self._params["view_light.position"] = mi.Point3f(arrays["light_position"][k])
             self._params["view_light.intensity.value"] = mi.Color3f(arrays["light_intensity"][k])
             self._params.update()
-            out[k] = mi.render(self._scene, spp=self.spp, seed=(seed * len(views) + k) % 2**32).numpy()
+            spp, number = self.spp, (seed * len(views) + k) % 2**32
+            out[k] = mi.render(self._scene, spp=spp, seed=number).numpy()
+            if self._own_light is not None:
+                glow = mi.render(self._scene, integrator=self._own_light, spp=spp, seed=number).numpy()
+                out[k, ..., :3] += glow[..., :3]
         return out

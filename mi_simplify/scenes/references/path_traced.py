@@ -51,6 +51,7 @@ def make_reference(
     lights: bool = False,
     form: str = "gltf",
     ambient: np.ndarray | None = None,
+    emission: bool = True,
 ) -> Reference:
     """
     The reference renderer of an asset; that of a Mitsuba scene renders the scene itself, that of a character poses it.
@@ -74,6 +75,8 @@ def make_reference(
         Mixing of the lobes in ``ggx_gamma``.
     ambient : ndarray, shape (1, 3), optional
         Light from everywhere; only with 'direct', as in the latent model.
+    emission : bool
+        Show the light that surfaces give off by themselves; the latent model has none.
     """
     if isinstance(asset, SceneAsset):
         reference = scene_reference(asset.file, transport=transport, spp=spp, max_depth=max_depth, lights=lights)
@@ -82,9 +85,10 @@ def make_reference(
         integrator = _integrator(transport, max_depth, transparent)
         if ambient is not None:
             integrator["ambient"] = mi.ScalarVector3f(*(float(x) for x in ambient[0]))
+        glows = emission and any(p.material.emission is not None for p in asset.parts)
         if asset.rig is not None:
-            return AnimatedReference(asset, integrator, spp, sky=sky, environment=environment, form=form)
-        reference = MitsubaReference(dict(asset_shapes(asset, form=form)), integrator, spp)
+            return AnimatedReference(asset, integrator, spp, sky=sky, environment=environment, form=form, glows=glows)
+        reference = MitsubaReference(dict(asset_shapes(asset, form=form)), integrator, spp, glows)
     own = [name for name, o in reference.shapes.items() if isinstance(o, mi.Emitter) and o.is_environment()]
     if own and (sky > 0 or environment is not None):
         raise UserError(f"{asset.source}: a scene with an environment of its own takes no other; leave one out")
