@@ -11,8 +11,6 @@ from pathlib import Path
 
 import drjit as dr
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..config import Config
 from ..errors import OutputError
@@ -20,6 +18,7 @@ from ..export import WRITERS, as_exported
 from ..fitting import Run
 from ..fitting.fit import REFRESH_EVERY
 from ..fitting.schedules import resolution_at
+from ..initial.unwrap.charting import charts
 from ..judging.evaluate import Judging
 from ..judging.pictures import contact_sheet
 from ..machine import memory
@@ -123,7 +122,7 @@ def forecast(
 
 def _plan(config: Config, asset: Asset, guess: Model, notes: list[str], out: Path) -> dict[str, str]:
     """What is known before any time is measured."""
-    charts, used = _charts(guess.mesh)
+    n_charts, used = _charts(guess.mesh)
     height, width = guess.base_color.shape[:2]
     fit, seen = config.optimizer, config.evaluation
     sizes = ", then ".join(f"{r}²" for r in fit.resolution)
@@ -132,7 +131,7 @@ def _plan(config: Config, asset: Asset, guess: Model, notes: list[str], out: Pat
     return {
         "asset": f"{config.asset}: {asset.n_triangles:,} triangles in {len(asset.instances)} part(s)",
         "first guess": f"{guess.n_triangles:,} triangles" + "".join(f"; {note}" for note in notes),
-        "atlas": f"{width} × {height} texels, {charts} charts on {100 * used:.0f} % of it",
+        "atlas": f"{width} × {height} texels, {n_charts} charts on {100 * used:.0f} % of it",
         "fit": f"{fit.steps:,} steps of {fit.batch} views of {sizes} pixels with {fit.spp} samples, "
         f"{config.reference.transport} light; {', '.join(fitted)}",
         "evaluation": f"{seen.views} views of {seen.resolution}² pixels with {seen.spp} samples",
@@ -142,12 +141,10 @@ def _plan(config: Config, asset: Asset, guess: Model, notes: list[str], out: Pat
 
 def _charts(mesh: Mesh) -> tuple[int, float]:
     """Number of charts, and the share of the texture that they cover."""
-    corners, n = mesh.faces, len(mesh.uvs)
-    links = coo_matrix((np.ones(corners.size), (corners.ravel(), np.roll(corners, 1, axis=1).ravel())), (n, n))
-    _, label = connected_components(links, directed=False)
+    corners = mesh.faces
     a, b, c = np.moveaxis(mesh.uvs[corners].astype(np.float64), 1, 0)
     (ux, uy), (vx, vy) = (b - a).T, (c - a).T
-    return len(np.unique(label[corners])), float(np.abs(ux * vy - uy * vx).sum() / 2)
+    return charts(mesh)[1], float(np.abs(ux * vy - uy * vx).sum() / 2)
 
 
 def _try_fit(result: Forecast, config: Config, guess: Model, reference: Reference, progress: ProgressCallback) -> None:

@@ -49,7 +49,7 @@ def unwrap(
     time_limit : float
         Seconds that xatlas may take before every triangle becomes a chart of its own.
     crease_angle : float
-        Edges that turn by more get two normals and become chart borders [degrees]; 180 has none.
+        Edges that turn by more get two normals, inside a chart as well [degrees]; 180 has none.
 
     Returns
     -------
@@ -66,23 +66,23 @@ def unwrap(
     if len(faces) == 0:
         raise MeshError("nothing to unwrap: the mesh has no faces")
     notes: list[str] = []
+    normals = vertex_normals(positions, faces, by_area=True)
     try:
-        corners = normal_groups(positions, faces, crease_angle)
-        group_position = np.empty(corners.max() + 1, np.int64)
-        group_position[corners] = faces
-        normals = vertex_normals(positions, faces, corners, by_area=True)
-        points = positions[group_position]
-        index, uvs, out_faces = _run_xatlas(points, corners, normals, atlas_size, padding, time_limit)
+        index, uvs, out_faces = _run_xatlas(positions, faces, normals, atlas_size, padding, time_limit)
     except _Failed as failure:
         notes.append(f"xatlas {failure}; every triangle is a chart of its own, which wastes texels and adds seams")
-        index, uvs, out_faces = triangle_charts(points, corners, atlas_size, padding)
+        index, uvs, out_faces = triangle_charts(positions, faces, atlas_size, padding)
     uvs[:, 1] = atlas_size - uvs[:, 1]  # xatlas winds its charts for v up
+    groups = normal_groups(positions, faces, crease_angle)
+    pairs = np.stack([out_faces.ravel(), groups.ravel()], 1)  # a vertex has one place in the atlas and one normal
+    pairs, vertex = np.unique(pairs, axis=0, return_inverse=True)
+    of = pairs[:, 0]
     mesh = Mesh(
         np.asarray(positions, np.float64),
-        group_position[index],
-        (uvs / atlas_size).astype(np.float32),
-        out_faces,
-        index,
+        index[of],
+        (uvs / atlas_size).astype(np.float32)[of],
+        vertex.reshape(-1, 3),
+        pairs[:, 1],
     )
     return mesh, notes + check(mesh, atlas_size)
 
@@ -165,7 +165,7 @@ def check(mesh: Mesh, size: int) -> list[str]:
     area = np.abs(_cross(q[:, 1] - q[:, 0], q[:, 2] - q[:, 0])) / 2  # texels a triangle
     chart, n_charts = charts(mesh)
     edge = np.linalg.norm(np.roll(q, -1, axis=1) - q, axis=2)  # (F, 3), corner k to k + 1
-    _, edge_of, counts = edge_pairs(mesh.faces)
+    _, edge_of, counts = edge_pairs(_places(mesh)[mesh.faces])
     rim = np.bincount(chart, (edge * (counts[edge_of] == 1).T).sum(1), n_charts)
     width = 2 * np.bincount(chart, area, n_charts) / np.maximum(rim, 1e-12)  # exact for a long strip
     thin = float(area[(width < _THIN)[chart]].sum() / max(area.sum(), 1e-12))
@@ -183,11 +183,18 @@ def check(mesh: Mesh, size: int) -> list[str]:
 
 def charts(mesh: Mesh) -> tuple[np.ndarray, int]:
     """
-    Chart of every face, shape (F,), and their number: faces that share vertices.
+    Chart of every face, shape (F,), numbered in the order of the faces, and their number: faces that share places
+    in the texture.
     """
-    f = mesh.faces
+    f = _places(mesh)[mesh.faces]
     n = len(mesh.uvs)
     graph = coo_array((np.ones(2 * len(f), bool), (f[:, [0, 0]].ravel(), f[:, 1:].ravel())), shape=(n, n))
     _, label = connected_components(graph, directed=False)
-    used, chart = np.unique(label[f[:, 0]], return_inverse=True)
-    return chart, len(used)
+    _, first, chart = np.unique(label[f[:, 0]], return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[chart], len(first)
+
+
+def _places(mesh: Mesh) -> np.ndarray:
+    """One number for the vertices that differ in their normals only, shape (V,)."""
+    rows = np.column_stack([mesh.position_index, mesh.uvs])
+    return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)

@@ -20,11 +20,11 @@ def pack(positions, faces, normals, padding, size, density):
     atlas.add_mesh(positions, faces, normals)
     charts = xatlas.ChartOptions()
     charts.max_iterations = 4
-    charts.normal_seam_weight = 1001  # above 1000 seams of the normals are borders
+    charts.normal_seam_weight = 0  # creases need two normals, not two charts
     charts.fix_winding = True  # no mirrored charts: turning them by a transposition is what mirrors
     packing = xatlas.PackOptions()
     packing.rotate_charts = False
-    packing.padding = padding
+    packing.padding = (padding + 1) // 2  # it pads both charts of a pair
     packing.resolution = size if density == 0 else 0
     packing.texels_per_unit = density
     atlas.generate(charts, packing)
