@@ -4,25 +4,18 @@ An implicit surface as the subject of a job: sphere traced, started from its iso
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from ..config import SAMPLE_PREFIX, Config
 from ..errors import ConfigError
 from ..initial.isosurface import isosurface
-from ..judging.comparison import Comparison
-from ..judging.evaluate import Judging
-from ..model.asset import Asset
-from ..model.model import Model
-from ..progress import ProgressCallback
 from ..scenes.implicit.surface import implicit_named
 from ..scenes.references.reference import Reference
 from ..scenes.references.sphere_tracing import SphereTraced
 from ..scenes.samples.creature import creature
-from .subject import Subject, judged_as_fitted, with_ambient
+from .still import SelfLit
+from .subject import judged_as_fitted, with_ambient
 
 
-class ImplicitSubject(Subject):
+class ImplicitSubject(SelfLit):
     """
     A distance function, or the sample ``creature``.
 
@@ -51,34 +44,7 @@ class ImplicitSubject(Subject):
         config = judged_as_fitted(config)
         super().__init__(config, isosurface(self.surface, settings.resolution))
 
-    @property
-    def display(self) -> Asset:
-        """See :class:`.subject.Subject`."""
-        return self.geometry
-
-    def guess(self) -> tuple[Model, list[str]]:
-        """See :class:`.subject.Subject`."""
-        return self._first_guess()
-
-    def baseline(self, triangles: int) -> Model:
-        """See :class:`.subject.Subject`."""
-        return self._quadrics(triangles)
-
-    def facts(self, model: Model) -> dict[str, Any]:
-        """See :class:`.subject.Subject`; there are none."""
-        return {}
-
-    def reference(self) -> Reference:
-        """See :class:`.subject.Subject`."""
-        return self._framed()
-
     def renderer(self, spp: int) -> Reference:
         """See :class:`.subject.Subject`."""
         shadows = self.config.reference.transport == "baked"
         return SphereTraced(self.surface, spp=spp, shadows=shadows, form=self.config.latent.shading)
-
-    def judge(
-        self, candidates: Mapping[str, Asset], judging: Judging = Judging(), progress: ProgressCallback | None = None
-    ) -> Comparison:
-        """See :class:`.subject.Subject`."""
-        return self._judged_in_its_own_light(candidates, judging, progress)

@@ -5,34 +5,20 @@ A model file as the subject of a job: rendered by Mitsuba, judged by path tracin
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from ..judging.comparison import Comparison
 from ..judging.evaluate import Judging, compare_assets
 from ..model.asset import Asset
-from ..model.model import Model
 from ..progress import ProgressCallback
 from ..scenes.references.reference import Reference
-from .subject import Subject, reference_for, renderer_of
+from .still import Still
+from .subject import reference_for, renderer_of
 
 
-class ModelFile(Subject):
+class ModelFile(Still):
     """
     An asset at rest, or a Mitsuba scene; see :class:`.subject.Subject`.
     """
-
-    @property
-    def display(self) -> Asset:
-        """See :class:`.subject.Subject`."""
-        return self.geometry
-
-    def guess(self) -> tuple[Model, list[str]]:
-        """See :class:`.subject.Subject`."""
-        return self._first_guess()
-
-    def baseline(self, triangles: int) -> Model:
-        """See :class:`.subject.Subject`."""
-        return self._quadrics(triangles)
 
     def reference(self) -> Reference:
         """See :class:`.subject.Subject`."""
@@ -41,10 +27,6 @@ class ModelFile(Subject):
     def renderer(self, spp: int) -> Reference:
         """See :class:`.subject.Subject`."""
         return renderer_of(self.geometry, self.config, spp)
-
-    def facts(self, model: Model) -> dict[str, Any]:
-        """See :class:`.subject.Subject`; there are none."""
-        return {}
 
     def judge(
         self, candidates: Mapping[str, Asset], judging: Judging = Judging(), progress: ProgressCallback | None = None

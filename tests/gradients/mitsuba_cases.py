@@ -41,6 +41,14 @@ def _near_light() -> dict:
     return {"type": "point", "position": [1.2, 1.6, -2.8], "intensity": {"type": "rgb", "value": [9.0, 8.0, 7.0]}}
 
 
+def _sun() -> dict:
+    return {
+        "type": "directional",
+        "direction": [-0.35, -0.45, 1],
+        "irradiance": {"type": "rgb", "value": [2, 1.8, 1.5]},
+    }
+
+
 def _cone() -> dict:
     return {
         "type": "spot",
@@ -83,5 +91,6 @@ CASES: dict[str, Callable[[], MitsubaScene]] = {
     "batch of two": lambda: MitsubaScene(_DIFFUSE, sensor=_batch()),
     "shadow of a point light": lambda: _shadow(_near_light(), _wall()),
     "shadow on a rectangle": lambda: _shadow(_near_light(), _floor()),
+    "shadow of a directional light": lambda: _shadow(_sun(), _wall()),
     "shadow of a spot light": lambda: _shadow(_cone(), _wall()),
 }
