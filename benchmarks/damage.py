@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def main() -> None:
     sys.path.insert(0, str(ROOT / "tests"))
-    from damage import damaged
+    from support.damage import damaged
 
     from mi_simplify.formats.obj.write import write_obj
 

@@ -4,7 +4,7 @@ The picture of README.md: asset and result of `make demo` side by side, surface 
     .venv/bin/python benchmarks/demo_picture.py out/demo
 """
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 import mi_simplify as ms
 
+ROOT = Path(__file__).resolve().parents[1]
 SIDE, TOP = 400, 34
 MARGIN = 45  # what the view has to spare around the asset
 
 
-def main(folder: Path, target: Path) -> None:
+def main(folder: Path, target: Path, spp: int) -> None:
+    """Render, draw, write."""
     ms.ensure_variant()
     from mi_simplify.judging.pictures import displayed
     from mi_simplify.report.portrait import portrait_view
@@ -24,7 +26,7 @@ def main(folder: Path, target: Path) -> None:
     config = ms.load_config(folder / "config.yaml")
     asset, model = ms.open_asset(config.asset), ms.load_asset(folder / "model.glb")
     views = portrait_view(asset.bounds, resolution=SIDE + 2 * MARGIN, azimuth=25.0)
-    settings = {"transport": "baked", "spp": 256, "max_depth": 6, "sky": 0.15}
+    settings = {"transport": "baked", "spp": spp, "max_depth": 6, "sky": 0.15}
     images = [ms.make_reference(a, **settings).render(views) for a in (asset, model)]
     panels = [Image.fromarray(displayed(image)[0]) for image in images]
     panels.append(wireframe(model, views.arrays(), panels[1]))
@@ -60,4 +62,9 @@ def wireframe(asset, view: dict, background: Image.Image) -> Image.Image:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(__file__).resolve().parents[1] / "docs" / "images" / "demo.png")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--picture", type=Path, default=ROOT / "docs" / "images" / "demo.png")
+    parser.add_argument("--spp", type=int, default=256)
+    args = parser.parse_args()
+    main(args.folder, args.picture, args.spp)

@@ -59,6 +59,8 @@ def main() -> None:
     parser.add_argument("--asset", required=True)
     parser.add_argument("--triangles", type=int, required=True)
     parser.add_argument("--picture", type=Path, default=None, help="JPEG, by default docs/images/glossy-ASSET.jpg")
+    parser.add_argument("--views", type=int, default=16, help="held-out views")
+    parser.add_argument("--spp", type=int, default=128, help="of the verdict")
     parser.add_argument("--set", nargs="*", default=[], help="settings, as on the command line")
     args = parser.parse_args()
     ms.ensure_variant()
@@ -67,10 +69,12 @@ def main() -> None:
     target = frame.normalised(asset)
     overrides = [f"asset={args.asset}", f"initial.triangles={args.triangles}", *args.set]
     config = ms.load_config(overrides=overrides)
-    guess, _ = ms.first_guess(target, triangles=args.triangles)
+    guess, _ = ms.first_guess(target, config.initial)
     fitted = ms.fit(guess, ms.make_reference(target, transport="direct", spp=config.reference.spp), config)
     candidates = {"bake": guess.as_asset(), "fit": fitted.model.as_asset()}
-    comparison = compare_assets(target, candidates, Judging(n_views=16, spp=128))
+    comparison = compare_assets(
+        target, candidates, Judging(n_views=args.views, resolution=config.evaluation.resolution, spp=args.spp)
+    )
     print("| model | PSNR [dB] | FLIP | silhouette error |\n|---|---|---|---|")
     for name, row in comparison.figures["candidates"].items():
         print(f"| {name} | {row['psnr']:.2f} | {row['flip']:.4f} | {row['silhouette_error']:.4f} |")

@@ -175,6 +175,7 @@ def main() -> None:
     parser.add_argument("--assets", type=Path, required=True)
     parser.add_argument("--judge", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "quality")
+    parser.add_argument("--docs", type=Path, default=ROOT / "docs", help="whose results.md and images are written")
     parser.add_argument("--only", nargs="*", default=[], help="cases to run, again if need be")
     parser.add_argument("--set", nargs="*", default=[], help="settings for all cases, as on the command line")
     args = parser.parse_args()
@@ -194,8 +195,8 @@ def main() -> None:
             for name, row in records[case.name]["figures"].items():
                 print(f"  {name:16} {displayed([row[key] for key in FIGURES])}")
             picture = Image.open(folder / "judge.png")
-            picture.save(ROOT / "docs" / "images" / f"results-{slug(case.name)}.jpg", quality=80)
-    write_page(records, ROOT / "docs" / "results.md")
+            picture.save(args.docs / "images" / f"results-{slug(case.name)}.jpg", quality=80)
+    write_page(records, args.docs / "results.md")
 
 
 if __name__ == "__main__":

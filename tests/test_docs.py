@@ -10,21 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.paths import ROOT
+from support.short import SHORT
 
 from mi_simplify import cli
 from mi_simplify.formats.captured.write import write_captured
 from mi_simplify.formats.load import load_asset
 from mi_simplify.initial.sphere import sphere
+from mi_simplify.judging import switching
 from mi_simplify.scenes.references.path_traced import make_reference
 from mi_simplify.scenes.views import goniometer
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-
-#: What makes a documented run short: nothing that a command or snippet is about.
-SHORT = [
-    "optimizer.steps=2", "optimizer.batch=1", "optimizer.resolution=32", "initial.atlas_size=256",
-    "evaluation.views=1", "evaluation.resolution=32", "evaluation.spp=4", "reference.spp=1", "reference.pool=2",
-]  # fmt: skip
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -54,6 +50,7 @@ def finished(tmp_path_factory) -> Path:
 def workplace(finished, tmp_path, monkeypatch) -> Path:
     """The current folder, with the files that the documentation speaks of."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(switching, "SIZES", (64, 32))  # of `lod`
     write_obj(tmp_path / "statue.obj", *waves(2400))
     positions, faces = waves(2400)
     np.savetxt(tmp_path / "statue.soup", positions[faces].reshape(-1, 9))
@@ -82,8 +79,11 @@ def waves(n: int) -> tuple[np.ndarray, np.ndarray]:
 def run(line: str) -> int:
     """The exit code of a command, of which a documented run is made a short one."""
     argv = shlex.split(line)[1:]
-    fits = argv[0] in ("simplify", "run", "lod")
-    return cli.main([*argv, *(x for setting in SHORT * fits for x in ("--set", setting))])
+    if argv[0] in ("simplify", "run", "lod"):
+        argv += [x for setting in SHORT for x in ("--set", setting)]
+    if argv[0] in ("evaluate", "compare"):
+        argv += ["--views", "1", "--resolution", "32", "--spp", "4"]
+    return cli.main(argv)
 
 
 @pytest.mark.slow

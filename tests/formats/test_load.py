@@ -106,7 +106,8 @@ def test_bishop_is_the_same_from_gltf_and_usd(shared_assets):
     usd = load_asset(shared_assets / "bishop/usd/bishop_white_preview.usda").placed()[0]
     assert len(glb.vertices) == len(usd.vertices)
     a, b = (p.vertices[p.faces].mean(axis=1) for p in (glb, usd))
-    assert cKDTree(a).query(b)[0].max() < 1e-6  # the same triangles, down to the diagonals
+    distance = cKDTree(a).query(b)[0]  # the same triangles, down to the diagonals but of 50 concave quads
+    assert (distance > 1e-6).sum() <= 100 and distance.max() < 2e-4
     np.testing.assert_allclose(usd.uvs.mean(0), glb.uvs.mean(0), atol=1e-4)
     for name in ("base_color", "specular", "normal"):
         np.testing.assert_allclose(getattr(usd.material, name), getattr(glb.material, name), atol=2 / 255)

@@ -1,18 +1,13 @@
 """
-What Mitsuba promises of every integrator: `develop`, `evaluate`, and the benchmark that times the renderers.
+What Mitsuba promises of every integrator: `develop` and `evaluate`.
 """
 
 from __future__ import annotations
-
-import json
-import subprocess
-import sys
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.paths import ROOT
 
 from . import scenes
 from .plugin import Plugin
@@ -38,12 +33,3 @@ def test_evaluate_says_whether_to_wait(scene):
     assert scene.integrator().render(scene, 0, seed=3, spp=4).array.state == dr.VarState.Evaluated
     later = scene.integrator().render(scene, 0, seed=4, spp=4, evaluate=False)
     assert later.array.state == dr.VarState.Unevaluated
-
-
-@pytest.mark.slow
-def test_the_benchmark_of_a_step_runs():
-    command = [sys.executable, str(ROOT / "benchmarks" / "gradients.py"), "--json", "--steps", "2"]
-    done = subprocess.run([*command, "--row", "1", "32", "200", "64"], capture_output=True, text=True, timeout=280)
-    assert done.returncode == 0, done.stderr
-    row = json.loads(done.stdout[done.stdout.index("{") :])
-    assert row["step"] > 0 and all(row["stages"][name] > 0 for name in ("forward", "backward", "boundary"))

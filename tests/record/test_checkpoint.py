@@ -28,7 +28,7 @@ from mi_simplify.jobs.job import run_job
 from mi_simplify.progress import Progress
 from mi_simplify.record.checkpoint import Checkpoint, fingerprint, read_archive, write_archive
 from mi_simplify.scenes.references.path_traced import make_reference
-from mi_simplify.subjects import subject
+from mi_simplify.subjects import model_file, subject
 
 resource = pytest.importorskip("resource", reason="POSIX")
 
@@ -393,7 +393,7 @@ def test_an_interrupted_run_goes_on_and_then_there_is_nothing_left_to_resume(sto
         progress(Progress("evaluate", 1, 6))
 
     with monkeypatch.context() as patch:
-        patch.setattr(subject, "compare_assets", interrupted)
+        patch.setattr(model_file, "compare_assets", interrupted)
         assert cli.main([*command, "--resume"]) == 130
     expected = "interrupted: out holds the finished fit; the same command with --resume judges it"
     assert capsys.readouterr().err.splitlines()[-1] == expected

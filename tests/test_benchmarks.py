@@ -1,0 +1,69 @@
+"""
+Every benchmark runs, on the smallest case that there is. What it measures is not looked at; that it still can is.
+"""
+
+import runpy
+import sys
+
+import pytest
+from support.paths import ROOT
+from support.short import SHORT
+from support.toy import bumpy_sphere
+
+import mi_simplify as ms
+from mi_simplify.formats.obj.write import write_obj
+
+ARGUMENTS = {
+    "characters sample:walker --triangles 300 --out out --set views.frames=2": SHORT,
+    "curves --asset sphere.ply --triangles 200 --out out --picture curves.png --set": SHORT,
+    "damage sphere.ply 200 low.obj": [],
+    "demo_picture run --picture demo.png --spp 1": [],
+    "detail prefilter sphere.ply --size 32 --triangles 200 --steps 2 --others 2 --views 2 --path 2 --out out --set": SHORT,
+    "detail mips sphere.ply --triangles 200 --steps 2 --views 1 --out out --set": SHORT,
+    "detail displacement sphere.ply --steps 2 --views 4 --out out --set": SHORT,
+    "detail tessellations sphere.ply --steps 1 --views 4 --out out --set": SHORT,
+    "detail chain sphere.ply --budgets 300,100 --steps 2 --out out --set": SHORT,
+    "foliage --plant sphere.ply --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],
+    "glossy --asset sphere.ply --triangles 200 --picture glossy.jpg --views 4 --spp 1 --set": SHORT,
+    "gradient_table --rounds 1 --dry --only": ["two objects, 1 layer"],
+    "gradients --json --steps 2 --row 1 32 200 64": [],
+    "quality --assets . --judge judge.py --out out --docs . --only spot,-500 --set": SHORT,
+    "representations images --asset sphere.ply --triangles 200 --views 2 --out out --set": SHORT,
+    "transports --asset sphere.ply --triangles 200 --out out --set": SHORT,
+}
+
+#: Stands for an outside program.
+JUDGE = """
+import sys
+from pathlib import Path
+from PIL import Image
+Image.new("RGB", (8, 8)).save(sys.argv[-1])
+for path in sys.argv[2:5]:
+    assert Path(path).is_file()
+    print('{"psnr": 30.0, "flip": 0.01, "silhouette_error": 0.01}')
+"""
+
+
+def test_none_is_forgotten():
+    assert {line.split()[0] for line in ARGUMENTS} == {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", ARGUMENTS)
+def test_a_benchmark_runs(line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    bumpy_sphere(tmp_path)
+    name, *arguments = line.split()
+    if name == "demo_picture":
+        overrides = ["asset=sphere.ply", "initial.triangles=200", "export.formats=glb", *SHORT, "optimizer.steps=0"]
+        ms.run_job(ms.load_config(overrides=overrides), "run")
+    if name == "quality":
+        for folder in ("images", "spot"):
+            (tmp_path / folder).mkdir()
+        write_obj(ms.first_guess(ms.open_asset("sphere.ply"), triangles=1000)[0], tmp_path / "spot" / "spot.obj")
+        (tmp_path / "results.md").write_text("")
+        (tmp_path / "judge.py").write_text(JUDGE)
+    monkeypatch.setattr(sys, "argv", [name, *arguments, *ARGUMENTS[line]])
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    runpy.run_path(str(ROOT / "benchmarks" / f"{name}.py"), run_name="__main__")
+    assert any(tmp_path.iterdir()) or capsys.readouterr().out
