@@ -72,9 +72,8 @@ def main() -> None:
     guess, _ = ms.first_guess(target, config.initial)
     fitted = ms.fit(guess, ms.make_reference(target, transport="direct", spp=config.reference.spp), config)
     candidates = {"bake": guess.as_asset(), "fit": fitted.model.as_asset()}
-    comparison = compare_assets(
-        target, candidates, Judging(n_views=args.views, resolution=config.evaluation.resolution, spp=args.spp)
-    )
+    judging = Judging(args.views, config.evaluation.resolution, args.spp)
+    comparison = compare_assets(target, candidates, judging)
     print("| model | PSNR [dB] | FLIP | silhouette error |\n|---|---|---|---|")
     for name, row in comparison.figures["candidates"].items():
         print(f"| {name} | {row['psnr']:.2f} | {row['flip']:.4f} | {row['silhouette_error']:.4f} |")

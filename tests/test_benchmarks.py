@@ -12,17 +12,18 @@ from support.toy import bumpy_sphere
 
 import mi_simplify as ms
 from mi_simplify.formats.obj.write import write_obj
+from mi_simplify.judging import switching
 
 ARGUMENTS = {
     "characters sample:walker --triangles 300 --out out --set views.frames=2": SHORT,
     "curves --asset sphere.ply --triangles 200 --out out --picture curves.png --set": SHORT,
     "damage sphere.ply 200 low.obj": [],
     "demo_picture run --picture demo.png --spp 1": [],
-    "detail prefilter sphere.ply --size 32 --triangles 200 --steps 2 --others 2 --views 2 --path 2 --out out --set": SHORT,
-    "detail mips sphere.ply --triangles 200 --steps 2 --views 1 --out out --set": SHORT,
-    "detail displacement sphere.ply --steps 2 --views 4 --out out --set": SHORT,
-    "detail tessellations sphere.ply --steps 1 --views 4 --out out --set": SHORT,
-    "detail chain sphere.ply --budgets 300,100 --steps 2 --out out --set": SHORT,
+    "detail prefilter sphere.ply --size 32 --triangles 200 --steps 2 --others 2 --views 2 --path 2 --set": SHORT,
+    "detail mips sphere.ply --triangles 200 --steps 2 --views 1 --set": SHORT,
+    "detail displacement sphere.ply --steps 2 --views 4 --set": SHORT,
+    "detail tessellations sphere.ply --steps 1 --views 4 --set": SHORT,
+    "detail chain sphere.ply --budgets 300,100 --steps 2 --set": SHORT,
     "foliage --plant sphere.ply --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],
     "glossy --asset sphere.ply --triangles 200 --picture glossy.jpg --views 4 --spp 1 --set": SHORT,
     "gradient_table --rounds 1 --dry --only": ["two objects, 1 layer"],
@@ -57,6 +58,9 @@ def test_a_benchmark_runs(line, tmp_path, monkeypatch, capsys):
     if name == "demo_picture":
         overrides = ["asset=sphere.ply", "initial.triangles=200", "export.formats=glb", *SHORT, "optimizer.steps=0"]
         ms.run_job(ms.load_config(overrides=overrides), "run")
+    if name == "detail":
+        arguments[:0] = ["--out", "out"]
+        monkeypatch.setattr(switching, "SIZES", (64, 32))
     if name == "quality":
         for folder in ("images", "spot"):
             (tmp_path / folder).mkdir()

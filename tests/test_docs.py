@@ -29,7 +29,8 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def commands() -> list[str]:
     lines = [line for page in PAGES for block in blocks(page, "sh") for line in block.splitlines()]
-    return sorted({line.split(" #")[0].strip() for line in lines if line.startswith("mi-simplify ")})
+    found = {line.split(" #")[0].strip() for line in lines if line.startswith("mi-simplify ")}
+    return sorted({line.replace(" -n ", " --triangles ") for line in found})
 
 
 def write_obj(path: Path, positions: np.ndarray, faces: np.ndarray) -> None:
@@ -79,6 +80,8 @@ def waves(n: int) -> tuple[np.ndarray, np.ndarray]:
 def run(line: str) -> int:
     """The exit code of a command, of which a documented run is made a short one."""
     argv = shlex.split(line)[1:]
+    if argv[0] == "simplify":
+        argv = ["300" if before == "--triangles" else text for before, text in zip(["", *argv], argv, strict=False)]
     if argv[0] in ("simplify", "run", "lod"):
         argv += [x for setting in SHORT for x in ("--set", setting)]
     if argv[0] in ("evaluate", "compare"):

@@ -1,5 +1,6 @@
 """
-Gradients of the batched renderer against finite differences: a slice here, all of it under `make slow`.
+Gradients of the batched renderer against finite differences: a slice here, more under `make slow`, where every scene
+and every parameter has its turn; all pairs of both by ``benchmarks/gradient_table.py``.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ def test_slice(name):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize("name", scenes.NAMES)
-def test_every_pair(name):
-    case = next(c for c in SECTIONS["Batched renderer"]() if c.title == name)
-    assert not [str(p) for p in case.measure() if not p.passes]
+@pytest.mark.parametrize("turn", range(len(scenes.NAMES)), ids=scenes.NAMES)
+def test_every_scene(turn):
+    case = SECTIONS["Batched renderer"]()[turn]
+    assert not [str(p) for p in case.measure(turn) if not p.passes]
 
 
 @pytest.fixture(scope="module")

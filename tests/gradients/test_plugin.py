@@ -1,5 +1,6 @@
 """
-Gradients of the `direct_edge` plugin through ``mi.render``: a slice here, all of it under `make slow`.
+Gradients of the `direct_edge` plugin through ``mi.render``: a slice here, more under `make slow`, see
+:mod:`.test_batched`.
 """
 
 from __future__ import annotations
@@ -73,10 +74,10 @@ def test_symmetry_plane_through_the_camera():
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("section, index", [(s, i) for s in PROMISED[1:] for i in range(len(SECTIONS[s]()))])
-def test_every_pair(section, index):
-    case = dataclasses.replace(SECTIONS[section]()[index], rival=False)
-    assert not [str(p) for p in case.measure() if not p.passes]
+@pytest.mark.parametrize("section, turn", [(s, i) for s in PROMISED[1:] for i in range(len(SECTIONS[s]()))])
+def test_every_scene(section, turn):
+    case = dataclasses.replace(SECTIONS[section]()[turn], rival=False)
+    assert not [str(p) for p in case.measure(turn) if not p.passes]
 
 
 def test_forward_mode_equals_backward_mode():
