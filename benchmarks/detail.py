@@ -217,7 +217,7 @@ def displacement(args) -> None:
             model = replace(model, normal=np.broadcast_to(np.float32([0, 0, 1]), model.normal.shape).copy())
         candidates[name] = model.as_asset()
     target = subject.frame.normalised(subject.geometry)
-    comparison = compare_assets(target, candidates, Judging(n_views=args.views, resolution=256, spp=32))
+    comparison = compare_assets(target, candidates, Judging(n_views=args.views, resolution=args.resolution, spp=32))
     print("| | triangles | PSNR [dB] | FLIP | silhouette error | fit [s] |\n|---|---|---|---|---|---|")
     for name, figures in comparison.figures["candidates"].items():
         numbers = (figures[key] for key in ("psnr", "flip", "silhouette_error"))
@@ -242,7 +242,7 @@ def tessellations(args) -> None:
         candidates[f"{4**n} times, alone"] = alone.as_asset()
         candidates[f"{4**n} times, with the others"] = tessellated(together, n).as_asset()
     target = subject.frame.normalised(subject.geometry)
-    comparison = compare_assets(target, candidates, Judging(n_views=args.views, resolution=256, spp=32))
+    comparison = compare_assets(target, candidates, Judging(n_views=args.views, resolution=args.resolution, spp=32))
     print("| | triangles | PSNR [dB] | FLIP | silhouette error |\n|---|---|---|---|---|")
     for name, figures in comparison.figures["candidates"].items():
         row(name, str(figures["triangles"]), *(figures[key] for key in ("psnr", "flip", "silhouette_error")))
@@ -291,6 +291,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--others", type=int, default=100, help="steps of the models that prefilter compares with")
     parser.add_argument("--views", type=int, default=24)
+    parser.add_argument("--resolution", type=int, default=256, help="of the verdict on displacement [px]")
     parser.add_argument("--path", type=int, default=60, help="camera positions of the path")
     parser.add_argument("--out", default=ROOT / "out" / "detail")
     parser.add_argument("--set", nargs="*", default=[], help="settings, as on the command line")

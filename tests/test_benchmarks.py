@@ -15,14 +15,14 @@ from mi_simplify.formats.obj.write import write_obj
 from mi_simplify.judging import switching
 
 ARGUMENTS = {
-    "characters sample:walker --triangles 300 --out out --set views.frames=2": SHORT,
+    "characters sample:walker --triangles 300 --out out --set": [*SHORT, "animation.frames=0:4"],
     "curves --asset sphere.ply --triangles 200 --out out --picture curves.png --set": SHORT,
     "damage sphere.ply 200 low.obj": [],
     "demo_picture run --picture demo.png --spp 1": [],
     "detail prefilter sphere.ply --size 32 --triangles 200 --steps 2 --others 2 --views 2 --path 2 --set": SHORT,
     "detail mips sphere.ply --triangles 200 --steps 2 --views 1 --set": SHORT,
-    "detail displacement sphere.ply --steps 2 --views 4 --set": SHORT,
-    "detail tessellations sphere.ply --steps 1 --views 4 --set": SHORT,
+    "detail displacement sphere.ply --steps 2 --views 3 --resolution 32 --set": SHORT,
+    "detail tessellations sphere.ply --steps 1 --views 3 --resolution 32 --set": SHORT,
     "detail chain sphere.ply --budgets 300,100 --steps 2 --set": SHORT,
     "foliage --plant sphere.ply --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],
     "glossy --asset sphere.ply --triangles 200 --picture glossy.jpg --views 4 --spp 1 --set": SHORT,
