@@ -15,7 +15,12 @@ from mi_simplify.formats.obj.write import write_obj
 from mi_simplify.judging import switching
 
 ARGUMENTS = {
-    "characters sample:walker --triangles 300 --out out --set": [*SHORT, "animation.frames=0:4"],
+    "characters sample:walker --triangles 300 --out out --set": [
+        *SHORT,
+        "animation.frames=0:4",
+        "--only",
+        "fitted over the animation",
+    ],
     "curves --asset sphere.ply --triangles 200 --out out --picture curves.png --set": SHORT,
     "damage sphere.ply 200 low.obj": [],
     "demo_picture run --picture demo.png --spp 1": [],

@@ -4,65 +4,19 @@ Edges of a scene's meshes as a film sees them: silhouettes, open edges, creases,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from ...machine.upload import upload
-from ..edges import CREASE, OPEN, EdgeTable
+from ..edges import CREASE, OPEN
+from ..mesh_edges import CREASE_WEIGHT, NEAR, MeshEdges, Segment, clipped, contrast
 from .crossings import Crossings, Eyes, drawn
 from .projections import Projections
 
-#: Samples a pixel of crease gets for one that a pixel of silhouette gets: jumps there are small.
-_CREASE_WEIGHT = 0.25
 
-#: Added to the contrast of an edge, so that those of which the image shows nothing are not forgotten.
-_LEAST_CONTRAST = 0.2
-
-#: Nearest depth at which edges are followed [scene units].
-_NEAR = 1e-3
-
-
-@dataclass(init=False, eq=False)
-class FilmEdges:
+class FilmEdges(MeshEdges):
     """
-    An edge table on the device.
-
-    Parameters
-    ----------
-    table : EdgeTable
-    position_faces : ndarray, shape (F, 3)
+    Edges seen by the sensors of a scene.
     """
-
-    rows: mi.UInt32
-    kind: mi.UInt32
-    faces: mi.Vector3u
-    n_edges: int
-
-    def __init__(self, table: EdgeTable, position_faces: np.ndarray):
-        self.n_edges = len(table.ends)
-        self.rows = upload(mi.UInt32, np.concatenate([table.ends, table.faces], axis=1).ravel())
-        self.kind = upload(mi.UInt32, table.kind)
-        self.faces = upload(mi.Vector3u, position_faces)
-
-    def planes(self, positions: mi.Float) -> mi.Float:
-        """
-        Face planes ``(n, -n·p)`` in packets of four.
-        """
-        p = [dr.gather(mi.Point3f, positions, i) for i in self.faces]
-        n = dr.cross(p[1] - p[0], p[2] - p[0])
-        return dr.ravel(mi.Vector4f(n.x, n.y, n.z, -dr.dot(n, mi.Vector3f(p[0]))))
-
-    def touches(self, face: mi.UInt32, end0: mi.UInt32, end1: mi.UInt32) -> mi.Bool:
-        """
-        Whether a face, where there is one, has one of two positions among its corners.
-        """
-        exists = face < dr.width(self.faces)
-        corners = [dr.gather(mi.UInt32, c, face, exists) for c in self.faces]
-        touch = [(c == end0) | (c == end1) for c in corners]
-        return (touch[0] | touch[1] | touch[2]) & exists
 
     def turns(self, planes: mi.Float, row: mi.Vector4u, eye: mi.Vector4f) -> mi.Bool:
         """
@@ -105,7 +59,7 @@ class FilmEdges:
             s = self._segment(flat, projections, view, pair - view * self.n_edges)
             density, _ = self._density(planes, projections, lights, s)
             if image is not None:
-                density *= _contrast(image, projections, s) + _LEAST_CONTRAST
+                density *= contrast(image, _sides(projections, s), s)
             density = dr.select(s.visible, density, 0)
             weight = density * s.length
             dr.eval(density, weight)
@@ -114,9 +68,7 @@ class FilmEdges:
             s = self._segment(flat, projections, view, pair - view * self.n_edges)
             density = dr.gather(mi.Float, density, pair)
             _, outline = self._density(planes, projections, lights, s)
-            # A point at fraction tau of the clipped segment *on the film*, then its parameter on the edge itself.
-            a = tau * s.w0 / dr.maximum(s.w1 + tau * (s.w0 - s.w1), 1e-12)
-            along = dr.lerp(s.s0, s.s1, a)
+            along = s.fraction(tau)
             p = _between(flat, s.row, along)
             valid = s.visible & (density > 0)
         with dr.resume_grad():
@@ -137,7 +89,7 @@ class FilmEdges:
             motion=motion,
         )
 
-    def _density(self, planes: mi.Float, projections: Projections, lights: Eyes | None, s: _Segment):
+    def _density(self, planes: mi.Float, projections: Projections, lights: Eyes | None, s: Segment):
         """
         Importance of a pixel of edge length, and whether it is a silhouette or open.
         """
@@ -149,52 +101,36 @@ class FilmEdges:
         if lights is not None:
             for k in range(lights.n):
                 inside |= self.turns(planes, s.row, lights.fetch(mi.UInt32(k)))
-        return dr.select(outline, mi.Float(1), dr.select(inside, mi.Float(_CREASE_WEIGHT), 0)), outline
+        return dr.select(outline, mi.Float(1), dr.select(inside, mi.Float(CREASE_WEIGHT), 0)), outline
 
-    def _segment(self, positions: mi.Float, projections: Projections, view: mi.UInt32, edge: mi.UInt32) -> _Segment:
+    def _segment(self, positions: mi.Float, projections: Projections, view: mi.UInt32, edge: mi.UInt32) -> Segment:
         """
         The part of an edge in front of the camera and inside the window.
         """
         row = dr.gather(mi.Vector4u, self.rows, edge)
         h = [projections.homogeneous(view, dr.gather(mi.Point3f, positions, i)) for i in (row.x, row.y)]
         window = projections.window(view)
-        # Distances to the planes of the view volume, linear along the edge (Liang and Barsky 1984).
-        margins = [
-            [q.w - _NEAR, q.x - window.x * q.z, window.z * q.z - q.x, q.y - window.y * q.z, window.w * q.z - q.y]
+        # Distances to the planes of the view volume, linear along the edge.
+        s = clipped([
+            [q.w - NEAR, q.x - window.x * q.z, window.z * q.z - q.x, q.y - window.y * q.z, window.w * q.z - q.y]
             for q in h
-        ]
-        s0, s1 = mi.Float(0), mi.Float(1)
-        for m0, m1 in zip(*margins, strict=True):
-            cut = m0 / dr.select(m0 != m1, m0 - m1, 1)
-            s0 = dr.select((m0 < 0) & (m1 >= 0), dr.maximum(s0, cut), s0)
-            s1 = dr.select((m0 >= 0) & (m1 < 0), dr.minimum(s1, cut), s1)
-            s1 = dr.select((m0 < 0) & (m1 < 0), -1, s1)
-        visible = s1 > s0
+        ])  # fmt: skip
         ends = []
-        for s in (s0, s1):
-            q = dr.lerp(h[0], h[1], s)
-            iw = dr.rcp(dr.maximum(q.z, _NEAR))
-            ends += [q.x * iw, q.y * iw, q.z]
-        x0, y0, w0, x1, y1, w1 = ends
-        length = dr.sqrt(dr.square(x1 - x0) + dr.square(y1 - y0))
-        return _Segment(view, edge, row, s0, s1, x0, y0, w0, x1, y1, w1, length, visible & (length > 1e-6))
+        for fraction in s:
+            q = dr.lerp(h[0], h[1], fraction)
+            iw = dr.rcp(dr.maximum(q.z, NEAR))
+            ends.append((q.x * iw, q.y * iw, q.z))
+        return Segment.of(view, edge, row, s, ends)
 
 
 def _between(positions: mi.Float, row: mi.Vector4u, s: mi.Float) -> mi.Point3f:
     return dr.lerp(*(dr.gather(mi.Point3f, positions, i) for i in (row.x, row.y)), s)
 
 
-def _contrast(image: mi.Float, projections: Projections, s: _Segment) -> mi.Float:
-    """
-    Sum over channels of how much the pixels beside the middle of a segment differ.
-    """
-    window = projections.window(s.view)
-    x, y = 0.5 * (s.x0 + s.x1), 0.5 * (s.y0 + s.y1)
-    low, high = (
-        dr.gather(mi.Vector4f, image, _pixel(projections, window, x + k * s.nx, y + k * s.ny), s.visible)
-        for k in (-1, 1)
-    )
-    return dr.sum(dr.abs(low - high))
+def _sides(projections: Projections, s: Segment) -> list[mi.UInt32]:
+    """Pixels to either side of the middle of a segment."""
+    window, (x, y) = projections.window(s.view), s.middle
+    return [_pixel(projections, window, x + k * s.nx, y + k * s.ny) for k in (-1, 1)]
 
 
 def _pixel(projections: Projections, window: mi.Vector4f, x: mi.Float, y: mi.Float) -> mi.UInt32:
@@ -202,34 +138,3 @@ def _pixel(projections: Projections, window: mi.Vector4f, x: mi.Float, y: mi.Flo
     column = mi.UInt32(dr.clip(x, dr.maximum(window.x, 0), dr.minimum(window.z, projections.width) - 1))
     row = mi.UInt32(dr.clip(y, 0, projections.height - 1))
     return row * projections.width + column
-
-
-@dataclass
-class _Segment:
-    """
-    What a film shows of an edge: fractions ``s0 s1`` of it, film positions [pixels] and W of both ends.
-    """
-
-    view: mi.UInt32
-    edge: mi.UInt32
-    row: mi.Vector4u
-    s0: mi.Float
-    s1: mi.Float
-    x0: mi.Float
-    y0: mi.Float
-    w0: mi.Float
-    x1: mi.Float
-    y1: mi.Float
-    w1: mi.Float
-    length: mi.Float
-    visible: mi.Bool
-
-    @property
-    def nx(self) -> mi.Float:
-        """Unit normal on the film, x."""
-        return (self.y1 - self.y0) / dr.maximum(self.length, 1e-12)
-
-    @property
-    def ny(self) -> mi.Float:
-        """Unit normal on the film, y."""
-        return (self.x0 - self.x1) / dr.maximum(self.length, 1e-12)

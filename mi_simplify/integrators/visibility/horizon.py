@@ -14,13 +14,12 @@ import mitsuba as mi
 import numpy as np
 
 from ...machine.upload import upload
+from ..mesh_edges import NEAR
 from .crossings import Crossings, drawn
 from .projections import Projections
 
 #: Either side is looked at where the cosine between normal and viewer has changed by this much: float32 resolves it.
 _COSINE_STEP = 2e-5
-
-_NEAR = 1e-3
 
 
 @dataclass(init=False, eq=False)
@@ -142,14 +141,14 @@ class _Face:
             [q.y < w.y * q.z for q in h], [q.y > w.w * q.z for q in h],
         ):  # fmt: skip
             outside |= beyond[0] & beyond[1] & beyond[2]
-        return ~outside & (h[0].w > _NEAR) & (h[1].w > _NEAR) & (h[2].w > _NEAR)
+        return ~outside & (h[0].w > NEAR) & (h[1].w > NEAR) & (h[2].w > NEAR)
 
     @property
     def extent(self) -> mi.Float:
         """Longest side on the film, inside the window [pixels]."""
         w = self.window
-        x = [dr.clip(q.x / dr.maximum(q.z, _NEAR), w.x, w.z) for q in self.h]
-        y = [dr.clip(q.y / dr.maximum(q.z, _NEAR), w.y, w.w) for q in self.h]
+        x = [dr.clip(q.x / dr.maximum(q.z, NEAR), w.x, w.z) for q in self.h]
+        y = [dr.clip(q.y / dr.maximum(q.z, NEAR), w.y, w.w) for q in self.h]
         sides = [dr.square(x[i] - x[j]) + dr.square(y[i] - y[j]) for i, j in ((0, 1), (1, 2), (2, 0))]
         return dr.sqrt(dr.maximum(dr.maximum(sides[0], sides[1]), sides[2]))
 
@@ -185,7 +184,7 @@ class _Face:
         s1, s2 = self._ends(k)
         h = self._turned(self.h, k)
         film = [
-            mi.Point2f(q.x, q.y) / dr.maximum(q.z, _NEAR) for q in (dr.lerp(h[0], h[1], s1), dr.lerp(h[0], h[2], s2))
+            mi.Point2f(q.x, q.y) / dr.maximum(q.z, NEAR) for q in (dr.lerp(h[0], h[1], s1), dr.lerp(h[0], h[2], s2))
         ]
         # Not less than a part of the face: where the curve bends it is longer.
         return dr.select(is_odd, dr.maximum(dr.norm(film[1] - film[0]), 0.05 * self.extent), self.extent)
