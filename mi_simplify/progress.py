@@ -4,8 +4,11 @@ How far a job is: the one callback through which every stage reports, and times 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
+
+from .errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -52,3 +55,18 @@ def in_words(seconds: float) -> str:
     if minutes >= 60:
         return f"{minutes // 60} h {minutes % 60:02d} min"
     return f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.2g} s"
+
+
+def seconds_of(text: str) -> float:
+    """
+    Seconds of a time as people write it: ``30s``, ``1.5 min``, ``2h``; a plain number is in seconds.
+
+    Raises
+    ------
+    ConfigError
+        It is none.
+    """
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|sec|m|min|h)?\s*", text, re.IGNORECASE)
+    if not found or not float(found[1]):
+        raise ConfigError(f"'{text}' is no time; write it as 30s, 5min or 1h")
+    return float(found[1]) * {"s": 1, "m": 60, "h": 3600}[(found[2] or "s")[0].lower()]

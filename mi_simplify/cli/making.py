@@ -143,15 +143,18 @@ def run(config, out, settings, **options) -> None:
 
 def _run(
     config, out, overrides, *,
-    preset, variant, fixed_shape, normal_only, skip, memory_limit, compress, no_tangents, tensorboard, dry_run,
-    overwrite, resume, quiet,
+    preset, variant, fixed_shape, normal_only, skip, time_limit, memory_limit, compress, no_tangents, tensorboard,
+    dry_run, overwrite, resume, quiet,
 ) -> None:  # fmt: skip
     from ..config import load_config, with_fixed
     from ..machine.memory import limited, parse_size
+    from ..progress import seconds_of
 
     chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
     packed = packing(compress, no_tangents)
     chosen["export"] = ({"tensorboard": True} if tensorboard else {}) | ({"glb": packed} if packed else {})
+    if time_limit is not None:
+        chosen["optimizer"] = {"time": seconds_of(time_limit)}
     if normal_only:
         chosen["latent"] = {"optimize": ["normal"]}
     names = [name.strip() for text in skip for name in text.split(",")] + ["shape"] * fixed_shape

@@ -33,6 +33,12 @@ JOB = combined(
         help="Leave these as the first guess has them, such as kd,orm: shape, kd (base_color, opacity), "
         "orm (gamma, roughness, metallic), normal.",
     ),
+    click.option(
+        "--time",
+        "time_limit",
+        metavar="TIME",
+        help="End the fit after this long, such as 30s or 5min, best model by then.",
+    ),
     MEMORY,
     VARIANT,
 )

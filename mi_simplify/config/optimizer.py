@@ -37,7 +37,21 @@ class LargeStepsSettings(Section):
 class OptimizerSettings(Section):
     """The optimisation loop."""
 
-    steps: int = Field(600, ge=0, description="Number of steps; 0 exports the first guess.")
+    steps: int = Field(600, ge=0, description="Number of steps at most; 0 exports the first guess.")
+    tolerance: float = Field(
+        0.01,
+        ge=0,
+        lt=1,
+        description="Least share by which the held-out loss falls from one measurement to the next "
+        "(`evaluation.every`); where it falls by less, the rates run out within as many steps and the fit ends. 0: all "
+        "steps are done.",
+    )
+    time: float | None = Field(
+        None,
+        gt=0,
+        description="Seconds of the job after which the fit ends with the best model by then; loading and the first "
+        "guess count, export and evaluation follow. Rates fall in step with the time used. none: no limit.",
+    )
     batch: int = Field(8, ge=1, le=1024, description="Views per step.")
     resolution: Resolutions = Field(
         (256,), description="Image width and height [px], or a list of them from coarse to fine."

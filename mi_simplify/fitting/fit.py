@@ -102,11 +102,21 @@ class Fit:
         )
         self.held_out = HeldOut(reference, of_one, settings)
 
-    def step(self, index: int) -> mi.Float:
+    def step(self, index: int, progress: float | None = None) -> mi.Float:
         """
         One step; returns the image loss, width 1, not read back.
+
+        Parameters
+        ----------
+        index : int
+            How many steps were done before.
+        progress : float, optional
+            How much of the run has passed, in [0, 1], by which rates, weights and resolution go; that of ``index`` of
+            ``optimizer.steps`` where nothing is said.
         """
-        settings, progress = self.settings, index / max(1, self.settings.optimizer.steps)
+        settings = self.settings
+        if progress is None:
+            progress = index / max(1, settings.optimizer.steps)
         resolution = resolution_at(progress, settings.optimizer.resolution)
         batch = settings.optimizer.batch
         if self.pool.resolution != resolution:

@@ -14,6 +14,7 @@ from ..config import FitSettings
 from ..model.model import Model
 from ..progress import Progress, ProgressCallback, silent
 from ..scenes.references.reference import Reference
+from .course import Course
 from .fit import Fit
 
 log = logging.getLogger("mi_simplify")
@@ -42,32 +43,55 @@ class Run:
     settings : FitSettings
     state : dict, optional
         Of the run to go on with, from :meth:`state`; model, reference and configuration are the same as there.
+    spent : float
+        Seconds of ``optimizer.time`` that passed before.
     """
 
-    def __init__(self, model: Model, reference: Reference, settings: FitSettings, state: dict | None = None):
-        self.fit, self.first_guess, self.n_steps = Fit(model, reference, settings), model, settings.optimizer.steps
-        self.every = settings.evaluation.every
+    def __init__(
+        self,
+        model: Model,
+        reference: Reference,
+        settings: FitSettings,
+        state: dict | None = None,
+        spent: float = 0.0,
+    ):
         self.done, self._earlier, self._start = 0, 0.0, time.perf_counter()
+        self.fit, self.first_guess = Fit(model, reference, settings), model
+        self.every = settings.evaluation.every
+        self.course = Course(settings.optimizer, self.every, spent)
+        self._judging = 0.0
         self.records: list[dict] = []
         self.best, self.best_step, self.least, self.setbacks = self.fit.parameters(), 0, math.inf, 0
         if state is None:
             self.judge()
         else:
             self.fit.restore(state["fit"])
+            self.course.restore(state["course"])
             self._earlier = state["seconds"]
             for name in _KEPT:
                 setattr(self, name, state[name])
 
     @property
     def seconds(self) -> float:
-        """Since the first step, without the time between two processes."""
+        """Since it was set up, without the time between two processes."""
         return self._earlier + time.perf_counter() - self._start
+
+    @property
+    def is_done(self) -> bool:
+        """Whether no step follows."""
+        return self.course.is_over(self.done, self.seconds, self._judging)
+
+    @property
+    def n_steps(self) -> int:
+        """How many steps it takes, as far as is known by now."""
+        return self.done if self.is_done else self.course.end
 
     def state(self) -> dict:
         """
         All that is needed to go on: nested dicts of arrays, which are copies, and plain values.
         """
-        return {"fit": self.fit.state(), "seconds": self.seconds, **{name: getattr(self, name) for name in _KEPT}}
+        own = {name: getattr(self, name) for name in _KEPT}
+        return {"fit": self.fit.state(), "course": self.course.state(), "seconds": self.seconds, **own}
 
     def judge(self) -> dict:
         """
@@ -79,7 +103,9 @@ class Run:
             ``held_out_loss`` and ``psnr`` [dB]; ``unpeeled`` where something lies behind all layers, see
             ``Fit.unpeeled``.
         """
+        start = self.seconds
         loss, psnr = self.fit.judge()
+        self._judging = self.seconds - start
         if loss < self.least:
             self.least, self.best, self.best_step = loss, self.fit.parameters(), self.done
         return {"held_out_loss": loss, "psnr": psnr, **({"unpeeled": self.fit.unpeeled} if self.fit.unpeeled else {})}
@@ -94,9 +120,9 @@ class Run:
             The record of a step at which something was measured: ``step``, ``loss``, ``seconds`` and what
             :meth:`judge` returns.
         """
-        loss = self.fit.step(self.done)
+        loss = self.fit.step(self.done, self.course.progress(self.done, self.seconds))
         self.done += 1
-        judged = self.done % self.every == 0 or self.done == self.n_steps
+        judged = self.done % self.every == 0 or self.is_done
         if not judged and (self.done - 1) % _LOG_EVERY:
             return None
         value = float(loss[0])
@@ -107,7 +133,9 @@ class Run:
         record = {"step": self.done, "loss": value, "seconds": round(self.seconds, 3)}
         self.records.append(record)
         if judged:
+            before = self.least
             record.update(self.judge())
+            self.course.measured(self.done, before, record["held_out_loss"])
             if self.best_step != self.done:
                 self.fit.retreat(self.best)
         return record
@@ -122,7 +150,7 @@ class Run:
             log.warning("%s, at half the rates", back)
         else:
             log.warning("%s, which is kept: %d times is enough", back, self.setbacks)
-            self.done = self.n_steps
+            self.course.stop(self.done)
 
     def result(self) -> FitResult:
         """
@@ -141,6 +169,7 @@ def fit(
     progress: ProgressCallback = silent,
     on_step: Callable[[Run], None] | None = None,
     state: dict | None = None,
+    spent: float = 0.0,
 ) -> FitResult:
     """
     Optimise a first guess until it looks like the reference.
@@ -148,7 +177,8 @@ def fit(
     Minimises the expected image loss over random views (Hasselgren et al. 2021, Eq. 1 and 6), and returns the state
     with the least loss on held-out views, which may be the first guess itself: a warning says so. Where that loss has
     not fallen, or a loss or a gradient is not finite, it goes back to the best state, and on with half the rates and
-    twice the samples: a start that is nearly right wants smaller steps than the noise of the images makes.
+    twice the samples: a start that is nearly right wants smaller steps than the noise of the images makes. It ends
+    where :class:`.course.Course` says so.
 
     Parameters
     ----------
@@ -162,6 +192,8 @@ def fit(
         ``on_step(run)`` after every step: checkpoints, pictures.
     state : dict, optional
         ``run.state()`` of an earlier call with the same model, reference and configuration, to go on with.
+    spent : float
+        Seconds of ``optimizer.time`` that passed before this call.
 
     Returns
     -------
@@ -169,17 +201,22 @@ def fit(
     """
     if settings.optimizer.steps == 0:
         return FitResult(model)
-    run = Run(model, reference, settings, state)
-    while run.done < run.n_steps:
+    run = Run(model, reference, settings, state, spent)
+    while not run.is_done:
         record = run.step()
         if record is not None:
             progress(Progress("fit", run.done, run.n_steps, record["loss"], record.get("psnr")))
         if on_step is not None:
             on_step(run)
-    if run.best_step == 0:
+    if run.done == 0:
+        log.warning(
+            "no time was left for a step of the fit: the first guess is the result; optimizer.time is %g s",
+            settings.optimizer.time,
+        )
+    elif run.best_step == 0:
         log.warning("no step of the fit was better on held-out views than the first guess, which is kept as it was")
-    elif run.best_step < run.n_steps:
-        log.info("the model of step %d of %d is kept: it was the best on held-out views", run.best_step, run.n_steps)
+    elif run.best_step < run.done:
+        log.info("the model of step %d of %d is kept: it was the best on held-out views", run.best_step, run.done)
     if run.fit.unpeeled > _MUCH_UNPEELED:
         log.warning(
             "%.1f %% of what is seen lies behind more than %d transparent surfaces, which is as far as the fit looks; "

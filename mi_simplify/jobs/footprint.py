@@ -7,6 +7,7 @@ The bytes per texel, sample and triangle were measured: peaks of whole runs, one
 from __future__ import annotations
 
 from ..config import Config
+from ..formats.headers import said_triangles
 from ..machine import memory
 from ..model.asset import Asset
 
@@ -40,7 +41,7 @@ def footprint(config: Config, asset: Asset | None = None) -> dict[str, int]:
     ----------
     config : Config
     asset : Asset, optional
-        As loaded; without it, its part is missing.
+        As loaded; without it, what its file says of its triangles counts, and its textures do not.
     """
     fit, judged, pixels = config.optimizer, config.evaluation, max(config.optimizer.resolution) ** 2
     out = {
@@ -50,7 +51,9 @@ def footprint(config: Config, asset: Asset | None = None) -> dict[str, int]:
         "reference.pool": _PER_POOLED[config.reference.transport] * config.reference.pool * pixels if fit.steps else 0,
         "evaluation.resolution": _PER_JUDGED * judged.views * (3 + judged.baseline) * judged.resolution**2,
     }
-    if asset is not None:
+    if asset is None:
+        out["asset"] = _PER_TRIANGLE * (said_triangles(config.asset) or 0)
+    else:
         materials = {id(part.material): part.material for part in asset.parts}.values()
         images = [image for m in materials for image in (m.base_color, m.specular, m.normal) if image is not None]
         out["asset"] = _PER_TRIANGLE * asset.n_triangles + _COPIES * sum(image.nbytes for image in images)
@@ -68,6 +71,10 @@ def check_footprint(config: Config, asset: Asset | None = None) -> None:
     """
     parts = footprint(config, asset)
     largest = max(parts, key=lambda key: parts[key] if key else 0)
-    way_out = "simplify the asset in parts" if largest == "asset" else f"lower {largest}"
+    way_out = f"lower {largest}"
+    if largest == "asset":
+        others = sum(parts.values()) - parts[largest]
+        room = max((memory.left() or 0) + (memory.held() or 0) - others, 0) // _PER_TRIANGLE
+        way_out = f"decimate the asset to {room - room % 10_000:,} triangles before, or simplify it in parts"
     way_out += f", which takes {memory.shown_size(parts[largest])} of it"
     memory.require(sum(parts.values()) - (memory.held() or 0), "this job", way_out)

@@ -69,7 +69,7 @@ class Forecast:
         rows["memory"] = f"about {memory.shown_size(self.memory)} at most"
         rows["measured"] = (
             f"on this machine as busy as it is now: the first guess, {self.steps} steps of the fit and two views of "
-            "the evaluation were done, the rest is reckoned from them; nothing was written"
+            "the evaluation were done, the rest is reckoned from them, as if all steps were needed; nothing was written"
         )
         return "\n".join(f"{name:12} {text}" for name, text in rows.items())
 
@@ -132,7 +132,8 @@ def _plan(config: Config, asset: Asset, guess: Model, notes: list[str], out: Pat
         "asset": f"{config.asset}: {asset.n_triangles:,} triangles in {len(asset.instances)} part(s)",
         "first guess": f"{guess.n_triangles:,} triangles" + "".join(f"; {note}" for note in notes),
         "atlas": f"{width} × {height} texels, {n_charts} charts on {100 * used:.0f} % of it",
-        "fit": f"{fit.steps:,} steps of {fit.batch} views of {sizes} pixels with {fit.spp} samples, "
+        "fit": ("at most " if fit.tolerance or fit.time else "")
+        + f"{fit.steps:,} steps of {fit.batch} views of {sizes} pixels with {fit.spp} samples, "
         f"{config.reference.transport} light; {', '.join(fitted)}",
         "evaluation": f"{seen.views} views of {seen.resolution}² pixels with {seen.spp} samples",
         "results": f"{out}: {', '.join(WRITERS[name].file for name in config.export.formats)}, report.html, …",
@@ -174,7 +175,8 @@ def _try_fit(result: Forecast, config: Config, guess: Model, reference: Referenc
     run.judge()
     seconds += clock.lap() * (math.ceil(n_steps / config.evaluation.every) - 1)
     run.state()  # what a checkpoint takes, for the memory's sake
-    result.seconds["fit"] = seconds * (1 + SHARE)
+    limit = config.optimizer.time or math.inf
+    result.seconds["fit"] = min(seconds * (1 + SHARE), max(0.0, limit - sum(result.seconds.values())))
 
 
 def _try_rest(result: Forecast, config: Config, subject: Subject, guess: Model, progress: ProgressCallback) -> None:

@@ -145,7 +145,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         if folder.checkpoint.is_dir():
             interrupt.left_behind = f"{folder.path} holds a checkpoint; the same command with --resume goes on"
         record = Record(folder, checkpoint, interrupt, config, frame, _facts(config))
-        fitted = record.fit(guess, reference, state, progress)
+        fitted = record.fit(guess, reference, state, progress, clock.seconds["total"])
         clock.lap("fit", before=0.0 if state is None else state["seconds"])
         guess, model = frame.restored(guess), frame.restored(fitted.model)
         progress(Progress("export"))

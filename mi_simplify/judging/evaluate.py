@@ -207,7 +207,8 @@ class PathTraced:
     :class:`..scenes.references.reference.Reference`.
 
     Point light and sky are rendered apart and added: a path tracer that picks one of two lights at
-    random is far noisier, and noise here is error that neither model has.
+    random is far noisier, and noise here is error that neither model has. The sky is so much dimmer that
+    a quarter of the samples has less noise still.
 
     Parameters
     ----------

@@ -52,9 +52,11 @@ class Record:
     frame: Frame
     facts: dict[str, Any]
 
-    def fit(self, guess: Model, reference: Reference, state: dict | None, progress: ProgressCallback) -> FitResult:
+    def fit(
+        self, guess: Model, reference: Reference, state: dict | None, progress: ProgressCallback, spent: float
+    ) -> FitResult:
         """
-        Fit, from a checkpoint's state where there is one.
+        Fit, from a checkpoint's state where there is one, after ``spent`` seconds of the time that it may take.
 
         Raises
         ------
@@ -84,14 +86,14 @@ class Record:
             self._keep(run)
 
         try:
-            return fit(guess, reference, self.config, logged, after_step, state)
+            return fit(guess, reference, self.config, logged, after_step, state, spent)
         finally:
             if events is not None:
                 events.close()
 
     def _keep(self, run: Run) -> None:
         """After every step: a checkpoint where one is due, and the end where that is wanted."""
-        if not (self.interrupt.pending or self.checkpoint.due() or run.done == run.n_steps):
+        if not (self.interrupt.pending or self.checkpoint.due() or run.is_done):
             return
         saved = self.checkpoint.save(run.state())
         if not self.interrupt.pending:

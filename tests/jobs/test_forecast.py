@@ -76,7 +76,7 @@ def test_what_would_be_done_is_said(config, tmp_path):
     said = expected.summary()
     rows = dict(re.findall(r"^(\S+(?: \S+)*)\s{2,}(.+)$", said, re.MULTILINE))
     assert rows["asset"].endswith("3,200 triangles in 1 part(s)")
-    assert rows["fit"].startswith("70 steps of 2 views of 32², then 64² pixels with")
+    assert rows["fit"].startswith("at most 70 steps of 2 views of 32², then 64² pixels with")
     assert rows["fit"].endswith("; vertices, base_color, roughness, metallic, normal")
     assert re.match(r"64 × 64 texels, \d+ charts on \d\d % of it", rows["atlas"])
     assert rows["evaluation"] == "2 views of 64² pixels with 8 samples"

@@ -1,11 +1,16 @@
 """Memory: sizes as people write them, what is left, and jobs that are refused before they start."""
 
+import json
+import re
+import struct
+
 import numpy as np
 import pytest
 
 from mi_simplify import cli
 from mi_simplify.config import load_config
 from mi_simplify.errors import ConfigError, MemoryLimitError
+from mi_simplify.formats.headers import said_triangles
 from mi_simplify.jobs.footprint import check_footprint, footprint
 from mi_simplify.machine import memory
 from mi_simplify.model.asset import Asset, Instance, Part
@@ -56,8 +61,38 @@ def test_the_way_out_is_what_takes_most():
     with memory.limited(4 << 30), pytest.raises(MemoryLimitError, match="lower reference.pool, which takes"):
         check_footprint(job("reference.pool=100000"))
     many = Asset((Part(np.zeros((3, 3)), np.zeros((100_000, 3), np.int64)),), (Instance(0),) * 100)
-    with memory.limited(4 << 30), pytest.raises(MemoryLimitError, match="simplify the asset in parts, which takes 11"):
+    with (
+        memory.limited(4 << 30),
+        pytest.raises(
+            MemoryLimitError,
+            match=r"decimate the asset to 2,\d\d0,000 triangles before, or simplify it in parts, which takes 11",
+        ),
+    ):
         check_footprint(job(), many)
+
+
+def test_what_a_file_says_of_itself_is_refused_before_it_is_read(tmp_path, capsys):
+    """Headers of fifty million triangles, without the data: nothing that reads them would say that."""
+    n = 50_000_000
+    ply, stl, glb = (tmp_path / f"scan.{name}" for name in ("ply", "stl", "glb"))
+    ply.write_text(f"ply\nformat binary_little_endian 1.0\nelement vertex {n // 2}\nelement face {n}\nend_header\n")
+    with open(stl, "wb") as file:
+        file.write(bytes(80) + n.to_bytes(4, "little"))
+        file.truncate(84 + 50 * n)  # sparse
+    mesh = {"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}, {"attributes": {"POSITION": 1}, "mode": 5}]}
+    text = json.dumps({"asset": {"version": "2.0"}, "accessors": [{"count": 7}, {"count": 3 * n}], "meshes": [mesh]})
+    glb.write_bytes(struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text.encode())
+    assert [said_triangles(path) for path in (ply, stl, glb)] == [n, n, 4 * n - 2]
+    for path in (ply, stl, glb):
+        assert cli.main(["simplify", str(path), "-n", "300", "-o", str(tmp_path / "out"), "--memory-limit", "8GB"]) == 2
+        assert re.search(
+            r"needs about 5\d|2\d\d\.\d GB.*; decimate the asset to [56],\d\d0,000", capsys.readouterr().err
+        )
+    for damaged in (b"", b"ply\nelement face many", b"glTF", bytes(90)):
+        for path in (ply, stl, glb):
+            path.write_bytes(damaged)
+            assert said_triangles(path) in (None, 0)
+    assert said_triangles(tmp_path / "none.ply") is None and said_triangles("sample:relic") is None
 
 
 @pytest.mark.parametrize("dry", [[], ["--dry-run"]])

@@ -34,7 +34,7 @@ resource = pytest.importorskip("resource", reason="POSIX")
 
 TINY = [
     "asset=sample:relic", "optimizer.batch=2", "evaluation.resolution=32", "evaluation.views=2", "evaluation.every=10",
-    "reference.spp=2", "optimizer.rates.vertices=0.01",
+    "reference.spp=2", "optimizer.rates.vertices=0.01", "optimizer.tolerance=0",
 ]  # fmt: skip
 
 
@@ -68,12 +68,12 @@ def advanced(run: Run, n: int) -> Run:
     [
         ("optimizer.resolution=[24,32]",),
         ("optimizer.resolution=32", "optimizer.large_steps.enabled=false", "loss.laplacian.weight=0"),
-        ("optimizer.resolution=32", "latent.optimize=[base_color,opacity,gamma]"),
+        ("optimizer.resolution=32", "latent.optimize=[base_color,opacity,gamma]", "optimizer.tolerance=0.9"),
         pytest.param(
             ("optimizer.resolution=16", "reference.transport=matched", "reference.max_depth=3"), marks=pytest.mark.slow
         ),
     ],
-    ids=["coarse to fine", "plain Adam", "no vertices, opacity and gamma", "matched"],
+    ids=["coarse to fine", "plain Adam", "no vertices, opacity and gamma, ending early", "matched"],
 )
 def test_a_restored_run_takes_the_same_steps_to_the_bit(overrides, one_thread, tmp_path):
     parts = problem(*overrides, "optimizer.steps=24", "reference.pool=12")
@@ -200,7 +200,7 @@ def test_pixels_that_the_reference_does_not_know_are_left_out(caplog):
 
 def with_loss_of_nan(run: Run, steps) -> Run:
     step = run.fit.step
-    run.fit.step = lambda index: step(index) * (np.nan if index in steps else 1.0)
+    run.fit.step = lambda index, progress: step(index, progress) * (np.nan if index in steps else 1.0)
     return run
 
 
@@ -234,7 +234,7 @@ def test_nan_in_a_gradient_is_found_though_the_loss_is_finite(part, array, caplo
 
 def test_nan_without_end_ends_with_the_best(monkeypatch, caplog):
     parts = problem("optimizer.resolution=32", "optimizer.steps=200")
-    monkeypatch.setattr(Fit, "step", lambda fit, index: mi.Float(np.nan))
+    monkeypatch.setattr(Fit, "step", lambda fit, index, progress: mi.Float(np.nan))
     assert fit(*parts).model is parts[0]
     lines = [r.message for r in caplog.records if r.levelno == logging.WARNING]
     back = "NaN or infinity in the loss; back to the state of step 0"
@@ -248,7 +248,7 @@ def test_nan_without_end_ends_with_the_best(monkeypatch, caplog):
 SMALL = [
     "initial.triangles=300", "initial.atlas_size=64", "evaluation.resolution=48", "evaluation.spp=4",
     "evaluation.views=2", "evaluation.every=10", "reference.spp=4", "optimizer.resolution=48", "optimizer.batch=2",
-    "optimizer.steps=30", "export.formats=glb", "export.checkpoint=0",
+    "optimizer.steps=30", "optimizer.tolerance=0", "export.formats=glb", "export.checkpoint=0",
 ]  # fmt: skip
 
 
