@@ -189,12 +189,23 @@ class GgxGamma(mi.BSDF):
     def pdf(self, ctx, si, wo, active=True):
         return self.eval_pdf(ctx, si, wo, active)[1]
 
+    def _sampling_frame(self, si, active) -> mi.Frame3f:
+        """
+        :meth:`shading_frame`, turned about its normal so that it depends on that alone, not on texture coordinates.
+
+        Two models of one thing then scatter the same samples into the same directions, and most of their noise is the
+        same in both.
+        """
+        n = self.shading_frame(si, active).n
+        world = mi.Frame3f(si.to_world(n))
+        return mi.Frame3f(si.to_local(world.s), si.to_local(world.t), n)
+
     def sample(self, ctx, si, sample1, sample2, active=True):
         active = mi.Bool(active)
         diffuse, glossy, null = self._enabled(ctx)
         if not (diffuse or glossy or null):
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
-        frame = self.shading_frame(si, active)
+        frame = self._sampling_frame(si, active)
         base_color, gamma, roughness, metallic = self._inputs(si, active)
         opacity = self._opacity(si, active)
         wi = frame.to_local(si.wi)

@@ -143,10 +143,11 @@ def run(config, out, settings, **options) -> None:
 
 def _run(
     config, out, overrides, *,
-    preset, variant, fixed_shape, normal_only, skip, time_limit, memory_limit, compress, no_tangents, tensorboard,
-    dry_run, overwrite, resume, quiet,
+    preset, variant, fixed_shape, normal_only, skip, time_limit, judged, memory_limit, compress, no_tangents,
+    tensorboard, dry_run, overwrite, resume, quiet,
 ) -> None:  # fmt: skip
     from ..config import load_config, with_fixed
+    from ..config.presets import FULL_EVALUATION
     from ..machine.memory import limited, parse_size
     from ..progress import seconds_of
 
@@ -155,6 +156,8 @@ def _run(
     chosen["export"] = ({"tensorboard": True} if tensorboard else {}) | ({"glb": packed} if packed else {})
     if time_limit is not None:
         chosen["optimizer"] = {"time": seconds_of(time_limit)}
+    if judged == "full":
+        chosen["evaluation"] = FULL_EVALUATION
     if normal_only:
         chosen["latent"] = {"optimize": ["normal"]}
     names = [name.strip() for text in skip for name in text.split(",")] + ["shape"] * fixed_shape

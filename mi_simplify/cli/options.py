@@ -39,6 +39,14 @@ JOB = combined(
         metavar="TIME",
         help="End the fit after this long, such as 30s or 5min, best model by then.",
     ),
+    click.option(
+        "--evaluate",
+        "judged",
+        type=click.Choice(["quick", "full"]),
+        default="quick",
+        show_default=True,
+        help="How closely the result is judged; full also sets quadric decimation beside it.",
+    ),
     MEMORY,
     VARIANT,
 )

@@ -7,11 +7,21 @@ from __future__ import annotations
 from typing import Any
 
 PRESETS: dict[str, dict[str, Any]] = {
-    # On two cores: about a minute, three to four minutes, and as long as it takes.
-    "fast": {"optimizer": {"steps": 120}},
+    # On two idle cores: half a minute, a minute, and as long as it takes.
+    "fast": {"optimizer": {"steps": 60}},
     "balanced": {},
-    "best": {"optimizer": {"steps": 3000, "spp": 4}, "reference": {"spp": 32}},
+    "best": {
+        "optimizer": {"steps": 3000, "spp": 4, "tolerance": 0.0},
+        "reference": {"spp": 16, "refresh": 2},
+        "evaluation": {"spp": 64},
+    },
 }
+
+#: Below the transports ``baked`` and ``matched``: a path tracer is noisy everywhere, not in edges alone.
+PATH_TRACED: dict[str, Any] = {"reference": {"spp": 16, "refresh": 2}}
+
+#: What ``--evaluate full`` adds: the samples of the ``evaluate`` command, and quadric decimation beside.
+FULL_EVALUATION: dict[str, Any] = {"spp": 64, "baseline": True}
 
 
 def prefiltering(target: int) -> dict[str, Any]:

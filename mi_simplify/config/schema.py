@@ -49,10 +49,12 @@ class ReferenceSettings(Section):
         "tracing, shadows and indirect light end up in the textures. `matched`: full path tracing, and what the small "
         "model's direct light lacks is added to it as a constant, so that materials stay clean.",
     )
-    spp: int = Field(16, ge=1, le=65536, description="Samples per pixel of a reference image.")
+    spp: int = Field(
+        4, ge=1, le=65536, description="Samples per pixel of a reference image; path traced ones take 16 if not set."
+    )
     max_depth: int = Field(6, ge=2, le=1024, description="Longest light path, in edges; only path tracing reads it.")
     pool: int = Field(128, ge=1, description="Rendered views held ready; a step draws its batch from them.")
-    refresh: int = Field(2, ge=0, description="Views of the pool rendered anew per step; 0 keeps the first ones.")
+    refresh: int = Field(1, ge=0, description="Views of the pool rendered anew per step; 0 keeps the first ones.")
     environment: FilePath | None = Field(
         None, description="Environment map (EXR or HDR) besides the point light; only with `transport: baked`."
     )
@@ -128,7 +130,7 @@ class EvaluationSettings(Section):
 
     views: int = Field(8, ge=1, le=1024, description="Number of views.")
     resolution: int = Field(256, ge=16, le=8192, description="Image width and height [px].")
-    spp: int = Field(64, ge=1, le=65536, description="Samples per pixel.")
+    spp: int = Field(16, ge=1, le=65536, description="Samples per pixel.")
     every: int = Field(50, ge=1, description="Steps between two measurements of PSNR while the fit runs.")
     light: Literal["relit", "fitted"] = Field(
         "relit",

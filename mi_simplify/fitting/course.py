@@ -31,7 +31,7 @@ class Course:
         self.end = settings.steps
         self._turn, self._before = 0, 0.0
         """Step since which progress is even up to ``end``, and the progress there."""
-        self._ending = False
+        self._ending, self._rises = False, 0
 
     def progress(self, done: int, seconds: float = 0.0) -> float:
         """
@@ -50,11 +50,14 @@ class Course:
         """
         Take note of a measurement: the least loss before it, and that of now.
 
-        Where it fell by less than the tolerance, what is left to gain is what the noise of the steps takes away: the
-        rates fall to their last value within as many steps as lay between the two, and that is the end. Coarse images
-        are passed over as long as there are finer ones to come.
+        Where it fell by less than the tolerance, or rose twice in a row, what is left to gain is what the noise of the
+        steps takes away: the rates fall to their last value within as many steps as lie between two measurements, and
+        that is the end. One rise alone says that the rates are too high for a good start, which
+        :meth:`.fit.Fit.retreat` mends. Coarse images are passed over as long as there are finer ones to come.
         """
-        if self._ending or now < before * (1 - self.tolerance) or self.progress(done) < self._fine_from:
+        self._rises = self._rises + 1 if now >= before else 0
+        still_falls = now < before * (1 - self.tolerance) or self._rises == 1
+        if self._ending or still_falls or self.progress(done) < self._fine_from:
             return
         if self.tolerance > 0 and math.isfinite(before):
             self._before, self._turn, self._ending = self.progress(done), done, True
@@ -70,11 +73,13 @@ class Course:
         """
         What later steps depend on.
         """
-        return {"end": self.end, "turn": self._turn, "before": self._before, "ending": self._ending}
+        return {
+            "end": self.end, "turn": self._turn, "before": self._before, "ending": self._ending, "rises": self._rises,
+        }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         """
         Inverse of :meth:`state`.
         """
         self.end, self._turn, self._before = state["end"], state["turn"], state["before"]
-        self._ending = state["ending"]
+        self._ending, self._rises = state["ending"], state["rises"]

@@ -179,7 +179,7 @@ class Fit:
         positions, surface = self._moved(views)
         return self.latent.as_rendered(positions.numpy(), surface), surface, self.latent.textures
 
-    def _look(self, views: Views, seed: int = 1) -> np.ndarray:
+    def _look(self, views: Views) -> np.ndarray:
         """The current state from some views, shape (B, H, W, 4), without what the reference alone computes."""
         out = np.empty((len(views), views.height, views.width, 4), np.float32)
         self._cut(_STEP)
@@ -187,8 +187,8 @@ class Fit:
         for index, part in views.by_shape():
             _, surface = self._moved(part)
             with dr.suspend_grad():
-                lit, opaque_seed = part.under(self.ambient.value), dr.opaque(mi.UInt32, seed)
-                frame = self.renderer.render(surface, self.latent.textures, lit, spp=16, seed=opaque_seed)
+                lit, opaque_seed = part.under(self.ambient.value), dr.opaque(mi.UInt32, 1)
+                frame = self.renderer.render(surface, self.latent.textures, lit, spp=_LOOK_SPP, seed=opaque_seed)
             out[index] = frame.images()
             unpeeled += 0.0 if frame.unpeeled is None else float(dr.sum(frame.unpeeled)[0])
         self.unpeeled = unpeeled / max(float(out[..., 3].sum()), 1e-12)
@@ -217,7 +217,7 @@ class Fit:
             Of clipped sRGB on black, mean over views [dB].
         """
         views = self.held_out.views
-        image = np.mean([self._look(views, k + 1) for k in range(_HELD_OUT_LOOKS)], axis=0)
+        image = self._look(views)
         if self.pool.residual is not None:
             image = image + np.nan_to_num(self.pool.residual.render(views, 1))
         background = self._background(image[..., 0].size, dr.opaque(mi.UInt32, 1))
@@ -300,8 +300,8 @@ def _by_chance(settings: ViewsSettings) -> Callable[[int, np.random.Generator, i
 #: Steps between two renewals of the pool: fewer, larger ones cost less.
 REFRESH_EVERY = 16
 
-#: Renderings of the held-out views, each of 16 samples, that are averaged, see ``held_out.RENDERS``.
-_HELD_OUT_LOOKS = 2
+#: Samples per pixel by which a state is judged: at the same places every time, so that their noise hardly matters.
+_LOOK_SPP = 8
 
 #: Steepness of a mask that is judged: nearly what files show.
 _STEP = 64.0

@@ -123,8 +123,9 @@ class ViewPool:
         """
         self.rng.bit_generator.state = state["rng"]
         self.resolution, self._next, self.n_rendered = (state[key] for key in ("resolution", "next", "n_rendered"))
-        n = len(next(iter(state["views"].values()), ()))
-        self._views = [{key: rows[k] for key, rows in state["views"].items()} for k in range(n)]
+        views = state.get("views", {})  # of a dict without entries nothing is left in a file
+        n = len(next(iter(views.values()), ()))
+        self._views = [{key: rows[k] for key, rows in views.items()} for k in range(n)]
         ends = np.cumsum([state["channels"] * int(v["width"] * v["height"]) for v in self._views], dtype=np.int64)
         images = np.split(state["images"], ends[:-1])[:n]
         self._images = [image.reshape(state["channels"], -1) for image in images]

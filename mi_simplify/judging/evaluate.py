@@ -206,10 +206,6 @@ class PathTraced:
     An asset under the point light of each view and a dim constant sky, as a
     :class:`..scenes.references.reference.Reference`.
 
-    Point light and sky are rendered apart and added: a path tracer that picks one of two lights at
-    random is far noisier, and noise here is error that neither model has. The sky is so much dimmer that
-    a quarter of the samples has less noise still.
-
     Parameters
     ----------
     asset : Asset
@@ -220,16 +216,13 @@ class PathTraced:
     def __init__(self, asset: Asset, spp: int):
         from ..scenes.references.path_traced import make_reference
 
-        self._lit = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH)
-        self._sky = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY, emission=False)
+        self._reference = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY)
 
     def render(self, views: Views, seed: int = 0) -> np.ndarray:
         """
         Images of the views, shape (B, H, W, 4).
         """
-        image = self._lit.render(views, seed=2 * seed)
-        image[..., :3] += self._sky.render(views.lit_by(0.0), seed=2 * seed + 1)[..., :3]
-        return image
+        return self._reference.render(views, seed=seed)
 
 
 def evaluate(

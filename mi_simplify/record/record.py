@@ -95,6 +95,8 @@ class Record:
         """After every step: a checkpoint where one is due, and the end where that is wanted."""
         if not (self.interrupt.pending or self.checkpoint.due() or run.is_done):
             return
+        if run.is_done:
+            run.fit.pool.clear()  # no step follows that would draw from it, and it is most of a checkpoint
         saved = self.checkpoint.save(run.state())
         if not self.interrupt.pending:
             return

@@ -29,11 +29,20 @@ def test_a_loss_that_stands_still_ends_the_run_with_rates_that_run_out():
     flat.measured(30, 0.969, 0.965)
     assert flat.end == 40 and not flat.is_over(39, 0.0) and flat.is_over(40, 0.0)
     assert [flat.progress(done) for done in (30, 35, 40)] == pytest.approx([0.3, 0.65, 1.0])
-    flat.measured(39, 0.9, 0.9)
+    flat.measured(39, 0.9, 0.899)
     assert flat.end == 40, "the end stands"
     late = course(steps=100, tolerance=0.01)
-    late.measured(95, 1.0, 1.0)
+    late.measured(95, 1.0, 0.999)
     assert late.end == 100, "and is never later than without"
+
+
+def test_a_rise_alone_ends_nothing_two_in_a_row_do():
+    rough = course(steps=100, tolerance=0.01)
+    for done, before, now in ((10, 1.0, 1.2), (20, 1.0, 0.9), (30, 0.9, 0.95)):
+        rough.measured(done, before, now)
+        assert rough.end == 100
+    rough.measured(40, 0.9, 0.91)
+    assert rough.end == 50
 
 
 def test_the_first_measurement_and_coarse_images_end_nothing():
@@ -41,9 +50,9 @@ def test_the_first_measurement_and_coarse_images_end_nothing():
     begun.measured(10, np.inf, 1.0)
     assert begun.end == 100
     coarse = course(steps=100, tolerance=0.5, resolution=(32, 64))
-    coarse.measured(10, 1.0, 1.0)
+    coarse.measured(10, 1.0, 0.9)
     assert coarse.end == 100
-    coarse.measured(50, 1.0, 1.0)
+    coarse.measured(50, 1.0, 0.9)
     assert coarse.end == 60
 
 
@@ -57,11 +66,11 @@ def test_a_time_limit_takes_progress_along_and_keeps_what_is_needed_free():
 
 def test_what_later_steps_depend_on_goes_through_a_state():
     one, other = course(steps=100), course(steps=100)
-    one.measured(30, 1.0, 1.0)
+    one.measured(20, 1.0, 1.1)
     other.restore(one.state())
-    assert (other.end, other.progress(33)) == (one.end, one.progress(33))
-    other.measured(33, 1.0, 1.0)
-    assert other.end == one.end == 40
+    for either in (one, other):
+        either.measured(30, 1.0, 1.1)
+    assert (other.end, other.progress(33)) == (one.end, one.progress(33)) == (40, pytest.approx(0.3 + 0.7 * 0.3))
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("30s", 30), ("90", 90), ("1.5 min", 90), ("2h", 7200), ("5m", 300)])

@@ -56,8 +56,9 @@ class MitsubaReference:
     def __init__(self, shapes: dict, integrator: dict, spp: int, glows: bool = False):
         self.shapes, self.integrator, self.spp = shapes, integrator, spp
         self._own_light = mi.load_dict({"type": "own_light"}) if glows else None
-        # One sample in each cell of a grid: outlines have an eighth of the noise at 16. A grid is a square number.
-        self.sampler: dict = {"type": "stratified" if math.isqrt(spp) ** 2 == spp > 1 else "independent"}
+        # One sample in each row, column and cell of a grid, so that 4 have the noise of 16 independent ones; the plugin
+        # makes other numbers of samples more, for a grid of its own.
+        self.sampler: dict = {"type": "independent" if spp % math.isqrt(spp) else "multijitter"}
         """Mitsuba sampler of the camera, which may be replaced before the first image."""
         self._scene: mi.Scene | None = None
         self._film = (0, 0)
@@ -68,7 +69,11 @@ class MitsubaReference:
         Add a constant sky of this radiance, or the environment of an image file, before anything is rendered.
         """
         if sky > 0:
-            self.shapes["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [sky] * 3}}
+            # A path tracer meets it wherever a path leaves the scene; to pick it as one of two lights, at random, would
+            # make the other one noisy, which alone is picked then and has no noise where it shines.
+            share = 0.0 if self.integrator["type"] in ("path", "volpath") else 1.0
+            radiance = {"type": "rgb", "value": [sky] * 3}
+            self.shapes["sky"] = {"type": "constant", "radiance": radiance, "sampling_weight": share}
         if environment is not None:
             self.shapes["environment"] = {"type": "envmap", "filename": environment}
 
