@@ -35,6 +35,7 @@ from mi_simplify.report.gallery import pictures
 from mi_simplify.report.html import report_page, write_report
 from mi_simplify.report.templates import render
 from mi_simplify.report.viewer import viewer_data
+from mi_simplify.scenes.references.mitsuba import MitsubaReference
 from mi_simplify.scenes.references.path_traced import make_reference
 from mi_simplify.scenes.views import held_out_views
 
@@ -426,6 +427,7 @@ def test_light_and_sky_add_up_though_only_the_light_is_picked():
 
     def rendered(sky, spp, share=None, dark=False):
         reference = make_reference(asset, transport="baked", spp=spp, max_depth=6, sky=sky)
+        assert isinstance(reference, MitsubaReference)
         if share is not None:
             reference.shapes["sky"]["sampling_weight"] = share
         return reference.render(views.lit_by(0.0) if dark else views, seed=9)[..., :3]
