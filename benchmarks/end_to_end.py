@@ -3,7 +3,7 @@ Whole commands from the shell to the report: seconds, memory and likeness, besid
 
     python benchmarks/end_to_end.py --assets ../shared/assets --judge ../shared/tools/judge.py
     python benchmarks/end_to_end.py ... --blender PYTHON_WITH_BPY --bake ../shared/tools/blender_bake.py
-    python benchmarks/end_to_end.py --smallest      # one tiny case, nothing written, to see that all of this runs
+    python benchmarks/end_to_end.py --smallest ASSET   # two steps, nothing written, to see that all of this runs
 
 Every row is one process after the other on one machine, so that their *ratios* mean something where their seconds do
 not. The table goes into docs/performance.md.
@@ -90,11 +90,11 @@ def measured(case: str, name: str, command: list[str]) -> Row:
     return Row(case, name, seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
 
 
-def simplified(asset: Path | str, triangles: int, name: str, options: list[str], out: Path) -> Row:
+def simplified(asset: Path, triangles: int, name: str, options: list[str], out: Path) -> Row:
     """
     One ``mi-simplify simplify``, with what it says of its stages.
     """
-    case = f"{Path(asset).stem}, {triangles:,}"
+    case = f"{asset.stem}, {triangles:,}"
     command = [sys.executable, "-m", "mi_simplify", "simplify", str(asset), "-n", str(triangles), "-q", *options]
     row = measured(case, name, [*command, "-o", str(out)])
     row.stages = json.loads((out / "metrics.json").read_text())["run"]["seconds"]
@@ -179,12 +179,12 @@ def main() -> None:
     parser.add_argument("--bake", type=Path, help="what it runs: BAKE ASSET TRIANGLES OUT.glb")
     parser.add_argument("--more", nargs="*", default=[], help="options for all of our commands")
     parser.add_argument("--json", type=Path, help="also write the rows there")
-    parser.add_argument("--smallest", action="store_true", help="one tiny case, nothing written")
+    parser.add_argument("--smallest", type=Path, metavar="ASSET", help="two steps on this one, nothing written")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        if options.smallest:
+        if options.smallest is not None:
             settings = [word for setting in SMALLEST for word in ("--set", setting)]
-            rows = [simplified("sample:relic", 300, "smallest", settings, Path(folder, "out"))]
+            rows = [simplified(options.smallest, 200, "smallest", settings, Path(folder, "out"))]
         else:
             if options.assets is None or (options.blender is None) != (options.bake is None):
                 parser.error("--assets is needed, and --blender and --bake go together")
@@ -198,7 +198,7 @@ def main() -> None:
     print("\n".join(lines))
     if options.json is not None:
         options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
-    if not options.smallest:
+    if options.smallest is None:
         write(lines)
 
 

@@ -29,6 +29,7 @@ ARGUMENTS = {
     "detail displacement sphere.ply --steps 2 --views 3 --resolution 32 --set": SHORT,
     "detail tessellations sphere.ply --steps 1 --views 3 --resolution 32 --set": SHORT,
     "detail chain sphere.ply --budgets 300,100 --steps 2 --set": SHORT,
+    "end_to_end --smallest sphere.ply": [],
     "foliage --plant sphere.ply --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],
     "glossy --asset sphere.ply --triangles 200 --picture glossy.jpg --views 4 --spp 1 --set": SHORT,
     "gradient_table --rounds 1 --dry --only": ["two objects, 1 layer"],
