@@ -83,7 +83,9 @@ class Fit:
         self._coverage = dr.opaque(mi.Float, settings.loss.coverage)
         self._laplacian_start: float | None = None
         self.caution = 1.0
-        """Factor of all rates, and divisor of the samples per pixel, halved by :meth:`retreat`."""
+        """Factor of all rates, halved by :meth:`retreat`."""
+        self.spp = settings.optimizer.spp
+        """Samples per pixel, doubled by :meth:`retreat` where halved rates were not enough."""
 
         draw = reference.draw if isinstance(reference, OwnViews) else _by_chance(settings.views)
         residual = None
@@ -131,8 +133,7 @@ class Fit:
         pose = self.shape.pose(views)
         self.renderer.move(dr.detach(pose.positions))
         surface = self.latent.evaluate(pose.positions, pose.base, pose.parameters, views)
-        spp = max(settings.optimizer.spp, min(_CAREFUL_SPP, round(settings.optimizer.spp / self.caution)))
-        frame = self.renderer.render(surface, self.latent.textures, views.under(ambient), spp=spp, seed=seed)
+        frame = self.renderer.render(surface, self.latent.textures, views.under(ambient), spp=self.spp, seed=seed)
 
         background = self._background(dr.width(frame.image), seed)
         loss, grad_image = frame_loss(frame.image + residual, reference, background, self.loss, self._coverage)
@@ -247,12 +248,15 @@ class Fit:
         self.texels.restart(parameters["data"])
         self.ambient.restart(parameters)
 
-    def retreat(self, parameters: dict[str, np.ndarray]) -> None:
+    def retreat(self, parameters: dict[str, np.ndarray], *, again: bool = False) -> None:
         """
-        After steps that led astray: go back to earlier parameters, and on with half the rates and twice the samples.
+        After steps that led astray: go back to earlier parameters, and on with half the rates; with ``again``, where
+        those of the last retreat have brought nothing either, with twice the samples as well.
         """
         self.take(parameters)
         self.caution *= 0.5
+        if again:
+            self.spp = max(self.spp, min(_CAREFUL_SPP, 2 * self.spp))
         if not np.isfinite(self._laplacian_start or 0.0):
             self._laplacian_start = None
 
@@ -270,6 +274,7 @@ class Fit:
         return {
             "shape": self.shape.state(), "texels": self.texels.state(), "pool": self.pool.state(),
             "ambient": self.ambient.state(), "laplacian_start": self._laplacian_start, "caution": self.caution,
+            "spp": self.spp,
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
@@ -280,7 +285,7 @@ class Fit:
         self.texels.restore(state["texels"])
         self.pool.restore(state["pool"])
         self.ambient.restore(state.get("ambient", {}))  # of a dict without entries nothing is left
-        self._laplacian_start, self.caution = state["laplacian_start"], state["caution"]
+        self._laplacian_start, self.caution, self.spp = state["laplacian_start"], state["caution"], state["spp"]
 
 
 def _by_chance(settings: ViewsSettings) -> Callable[[int, np.random.Generator, int], list[Views]]:

@@ -62,6 +62,8 @@ class Run:
         self._judging = 0.0
         self.records: list[dict] = []
         self.best, self.best_step, self.least, self.setbacks = self.fit.parameters(), 0, math.inf, 0
+        self.retreated = -1
+        """Step of the last return to the best state for the loss's sake, -1 for none."""
         if state is None:
             self.judge()
         else:
@@ -136,8 +138,9 @@ class Run:
             before = self.least
             record.update(self.judge())
             self.course.measured(self.done, before, record["held_out_loss"])
-            if self.best_step != self.done:
-                self.fit.retreat(self.best)
+            if self.best_step != self.done and not self.is_done:
+                self.fit.retreat(self.best, again=self.best_step <= self.retreated)
+                self.retreated = self.done
         return record
 
     def _set_back(self, what: str) -> None:
@@ -176,9 +179,9 @@ def fit(
 
     Minimises the expected image loss over random views (Hasselgren et al. 2021, Eq. 1 and 6), and returns the state
     with the least loss on held-out views, which may be the first guess itself: a warning says so. Where that loss has
-    not fallen, or a loss or a gradient is not finite, it goes back to the best state, and on with half the rates and
-    twice the samples: a start that is nearly right wants smaller steps than the noise of the images makes. It ends
-    where :class:`.course.Course` says so.
+    not fallen, or a loss or a gradient is not finite, it goes back to the best state, and on with half the rates, and,
+    where that has brought nothing, twice the samples: a start that is nearly right wants smaller steps than the noise
+    of the images makes. It ends where :class:`.course.Course` says so.
 
     Parameters
     ----------
@@ -229,7 +232,7 @@ def fit(
 _MUCH_UNPEELED = 0.01
 
 #: What a state holds beside the fit's own.
-_KEPT = ("done", "records", "best", "best_step", "least", "setbacks")
+_KEPT = ("done", "records", "best", "best_step", "least", "setbacks", "retreated")
 
 #: Steps between two readings of the loss; each waits for the device.
 _LOG_EVERY = 10
