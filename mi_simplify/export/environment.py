@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..machine.files import write_atomic
-from ..model.harmonics import environment_image
+from ..model.light.harmonics import environment_image
 
 ENVIRONMENT = "environment.exr"
 

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from ..model.color import linear_to_srgb
-from ..model.emission import emission_of
+from ..model.light.emission import emission_of
 from ..model.model import Model
 
 HOLDS_AMBIENT = "emission_holds_ambient"

@@ -14,6 +14,7 @@ from ..config import InitialSettings, validated
 from ..errors import MeshError
 from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
+from ..model.groups import overall
 from ..model.mesh import Mesh
 from ..model.mips import coarser, filtered_levels, halved
 from ..model.model import Displacement, Model, tessellated
@@ -23,6 +24,7 @@ from .bake.baker import bake
 from .cards.cards import cards as card_model
 from .cards.cards import is_aggregate
 from .closest import ClosestPoints
+from .groups import grouped
 from .reduce.cleanup import clean
 from .repair.kept import keep_mesh
 from .soup import merge
@@ -203,13 +205,18 @@ def _textured(
         mesh = tessellated(model).mesh
         split = 4**settings.subdivisions
         notes.append(f"{len(model.mesh.faces)} triangles of a base mesh are split in {split} and displaced")
+    grouping = grouped(asset, model.mesh)
+    model = replace(model, groups=grouping.groups)
     if settings.textures == "bake":
-        baked = bake(asset, mesh, size=size * oversample, samples=_SAMPLES if oversample == 1 else 1)
+        baked = bake(
+            asset, mesh, size=size * oversample, samples=_SAMPLES if oversample == 1 else 1,
+            grouping=grouping.split(settings.subdivisions),
+        )  # fmt: skip
         if baked.missed > 0.05:
             notes.append(
                 f"{baked.missed:.0%} of the baked points saw no surface along their normal and took the closest"
             )
-        mode, cutoff = alpha_of(asset, baked.base_color)
+        mode, cutoff = overall(grouping.groups)
         images: dict[str, Any] = {"base_color": baked.base_color, "specular": baked.specular, "normal": baked.normal}
         more: dict[str, Any] = {"emission": baked.emission, "occlusion": baked.occlusion}
         if oversample > 1:

@@ -21,7 +21,7 @@ from ..model.asset import Asset, Part
 from ..model.frame import Frame
 from ..model.mesh import Mesh
 from ..model.model import Model
-from ..model.rig import BIND_POSE, turn
+from ..model.rig import BIND_POSE, Skin, turn
 from ..model.tangents import vertex_tangents
 from ..scenes.shapes import part_normals
 from ..scenes.views import Views, held_out_views
@@ -44,7 +44,7 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     model : Model
         What was fitted.
     written : Asset
-        What was read back, of one part, in the frame of the model.
+        What was read back in the frame of the model: parts that share one atlas.
     form : {'gltf', 'paper'}
         Mixing of the lobes.
     n_views, resolution : int
@@ -63,11 +63,11 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     for time in _frames(written):
         shown = written.posed(time)
         views = held_out_views(shown.bounds, n_views, resolution).at(time)
-        (part,), tangents, skin = shown.placed(), stored_tangents(written), written.parts[0].skin
-        if written.rig is not None and skin is not None and tangents is not None:
-            turned = turn(tangents[:, :3], skin, written.rig.matrices(time)[:, :3, :3])
-            tangents = np.concatenate([turned, tangents[:, 3:]], axis=1)
-        there = _render(*as_written(part, tangents), views, form)
+        tangents = stored_tangents(written)
+        if written.rig is not None and tangents is not None:
+            matrices = written.rig.matrices(time)[:, :3, :3]
+            tangents = [_turned(t, part.skin, matrices) for t, part in zip(tangents, written.parts, strict=True)]
+        there = _render(*as_written(shown.placed(), tangents), views, form)
         found.append(psnr(latent_images(model, views, form), there).mean())
     return float(np.mean(found))
 
@@ -90,21 +90,52 @@ def _frames(written: Asset) -> list[int]:
     return [BIND_POSE] if written.rig is None else sorted({written.rig.n_frames // 4, 3 * written.rig.n_frames // 4})
 
 
-def stored_tangents(written: Asset) -> np.ndarray | None:
+def _turned(tangents: np.ndarray, skin: Skin | None, matrices: np.ndarray) -> np.ndarray:
+    """Tangents (V, 4) of a skinned part in a pose."""
+    if skin is None:
+        return tangents
+    return np.concatenate([turn(tangents[:, :3], skin, matrices), tangents[:, 3:]], axis=1)
+
+
+def stored_tangents(written: Asset) -> list[np.ndarray] | None:
     """
-    Tangents and handedness that a GLB file carries, shape (V, 4); None where it has none, as other formats.
+    Tangents and handedness that a GLB file of ours carries, shape (V, 4) for each part; None where it has none, as
+    other formats.
     """
     if not written.source.endswith(".glb"):
         return None
     file = GltfFile(Path(written.source), [])
-    stored = file.item("meshes", 0)["primitives"][0]["attributes"].get("TANGENT")
-    return None if stored is None else file.accessor(stored)
+    primitives = file.item("meshes", 0)["primitives"]
+    stored = [primitive["attributes"].get("TANGENT") for primitive in primitives]
+    if None in stored:
+        return None
+    # Primitives share their vertices; a part has those of its faces, in their order.
+    return [file.accessor(s)[np.unique(file.accessor(p["indices"]))] for s, p in zip(stored, primitives, strict=True)]
 
 
-def as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, Surface, Textures, mi.Float]:
+def _joined(parts: list[Part]) -> Part:
+    """Parts that share an atlas as one: in it the texels of opaque ones are opaque."""
+    modes = {part.material.alpha_mode for part in parts}
+    mode = next(mode for mode in ("BLEND", "MASK", "OPAQUE") if mode in modes)
+    start = np.cumsum([0] + [len(part.vertices) for part in parts])
+    return replace(
+        parts[0],
+        vertices=np.concatenate([part.vertices for part in parts]),
+        faces=np.concatenate([part.faces + n for part, n in zip(parts, start, strict=False)]),
+        normals=np.concatenate([part_normals(part) for part in parts]).astype(np.float32),
+        uvs=np.concatenate([np.zeros((0, 2)) if part.uvs is None else part.uvs for part in parts]),
+        material=replace(parts[0].material, alpha_mode=mode),
+    )
+
+
+def as_written(
+    parts: list[Part], tangents: list[np.ndarray] | None
+) -> tuple[MeshTopology, Surface, Textures, mi.Float]:
     """
-    The part on the device, with normals and tangents as in its file; MikkTSpace's tangents where it has none.
+    Parts that share an atlas on the device, with normals and tangents as in their file; MikkTSpace's tangents where it
+    has none.
     """
+    part = parts[0] if len(parts) == 1 else _joined(parts)
     vertex = np.arange(len(part.vertices))
     assert part.uvs is not None  # every exporter writes them
     topology = MeshTopology(Mesh(part.vertices, vertex, part.uvs, part.faces))
@@ -112,7 +143,8 @@ def as_written(part: Part, tangents: np.ndarray | None) -> tuple[MeshTopology, S
     if tangents is None:
         t, w = vertex_tangents(mesh, normals)
     else:
-        t, w = tangents[mesh.position_index, :3], tangents[mesh.position_index, 3]
+        every = np.concatenate(tangents)[mesh.position_index]
+        t, w = every[:, :3], every[:, 3]
     u, v = mesh.uvs[:, :1], mesh.uvs[:, 1:]
     packets = np.concatenate([mesh.vertices, u, normals[mesh.position_index], v, t, w[:, None]], axis=1)
     material = part.material

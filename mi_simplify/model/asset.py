@@ -69,6 +69,9 @@ class Material:
         Share of light from everywhere that arrives, in [0, 1]; carried along, no renderer here uses it.
     double_sided : bool
         Whether its back is seen, as the file has it; renderers here show it always.
+    lobes : mapping of str to mapping
+        What else reflects or transmits, by the names and with the factors of glTF's extensions; carried along, no
+        renderer here shows it.
     lookups : mapping of str to Lookup
         Of the textures that are not looked up plainly, by the name of the field above. The normal map always is at
         :attr:`Part.uvs`, whose tangents it needs.
@@ -83,6 +86,7 @@ class Material:
     emission: np.ndarray | None = None
     occlusion: np.ndarray | None = None
     double_sided: bool = True
+    lobes: Mapping[str, Any] = field(default_factory=dict)
     lookups: Mapping[str, Lookup] = field(default_factory=dict)
 
     def lookup(self, texture: str) -> Lookup:

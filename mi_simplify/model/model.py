@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from .asset import Asset, Instance, Material, Part
+from .groups import Group, Groups
 from .mesh import Mesh
 from .rigging import Rigging
 from .tessellation import Tessellation
@@ -92,6 +93,8 @@ class Model:
     emission : ndarray, shape (H, W, 3), float32, or None
     occlusion : ndarray, shape (H, W, 1), float32, or None
         As in :class:`.asset.Material`; baked from the asset, and left alone by the fit.
+    groups : Groups, optional
+        What the faces differ in besides textures; without them all are of ``alpha_mode`` and shown from both sides.
     metadata : mapping
         Of the asset, see :attr:`.asset.Asset.metadata`.
     """
@@ -110,7 +113,16 @@ class Model:
     vertex_sets: VertexSets | None = None
     emission: np.ndarray | None = None
     occlusion: np.ndarray | None = None
+    groups: Groups | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def face_groups(self) -> Groups:
+        """The groups, one where there are none."""
+        if self.groups is not None:
+            return self.groups
+        whole = Group(self.name, self.alpha_mode, self.alpha_cutoff)
+        return Groups((whole,), np.zeros(len(self.mesh.faces), np.int64))
 
     @property
     def n_triangles(self) -> int:
@@ -204,7 +216,8 @@ def tessellated(model: Model, subdivisions: int | None = None) -> Model:
     if level > displacement.framed:
         coarse = tessellated(model, displacement.framed).mesh
         mesh = replace(mesh, own_normals=tessellation.interpolated(coarse.normals(), displacement.framed))
-    return replace(model, mesh=mesh, displacement=None)
+    groups = None if model.groups is None else model.groups.split(level)
+    return replace(model, mesh=mesh, displacement=None, groups=groups)
 
 
 #: Which quantities the channels of the textures are.

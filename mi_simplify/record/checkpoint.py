@@ -21,6 +21,7 @@ from ..config import Config
 from ..errors import OutputError
 from ..machine.files import make_folder, write_atomic
 from ..model.asset import Asset
+from ..model.groups import Group, Groups
 from ..model.mesh import Mesh
 from ..model.model import Displacement, Model, VertexSets
 from ..model.rig import Rig
@@ -101,6 +102,10 @@ class Checkpoint:
         if model["vertex_sets"] is not None:
             sets = model["vertex_sets"]
             model["vertex_sets"] = VertexSets(tuple(sets["sizes"]), sets["offsets"])
+        model["metadata"] = json.loads(model["metadata"])
+        if model["groups"] is not None:
+            kinds = tuple(Group(**kind) for kind in model["groups"]["kinds"])
+            model["groups"] = Groups(kinds, model["groups"]["of_face"])
         guess = Model(**model)
         return guess, self._guess["notes"], self._read(STATE) if (self.folder / STATE).exists() else None
 
@@ -209,7 +214,17 @@ def _values(item: Any) -> Iterator[bytes | np.ndarray]:
 def _as_dict(item: Any) -> dict:
     """A dataclass of arrays and plain values, nested ones as nested dicts."""
     out = {field.name: getattr(item, field.name) for field in dataclasses.fields(item)}
-    return {name: _as_dict(value) if dataclasses.is_dataclass(value) else value for name, value in out.items()}
+    return {name: _plain(value) for name, value in out.items()} | {
+        name: json.dumps(value)
+        for name, value in out.items()
+        if name == "metadata"  # its keys may have slashes
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple) and any(dataclasses.is_dataclass(x) for x in value):
+        return [_plain(x) for x in value]
+    return _as_dict(value) if dataclasses.is_dataclass(value) else value
 
 
 def _leaves(tree: dict, prefix: str = "") -> Iterator[tuple[str, Any]]:

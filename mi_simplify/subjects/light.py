@@ -13,7 +13,7 @@ from ..errors import AssetError
 from ..integrators.deferred import DeferredRenderer
 from ..judging.self_check import as_written, stored_tangents
 from ..machine.upload import upload
-from ..model.asset import Asset
+from ..model.asset import Asset, Part
 from ..scenes.references.path_traced import make_reference
 from ..scenes.references.reference import Reference
 from ..scenes.views import Views
@@ -37,16 +37,21 @@ def fitted_light(asset: Asset, spp: int, config: Config) -> Reference:
     return make_reference(asset, transport="direct", spp=spp, form=form, ambient=asset.ambient)
 
 
+def _atlas(part: Part) -> int:
+    """A number that parts share whose textures are the same."""
+    return hash(part.material.base_color.tobytes())
+
+
 class InEnvironment:
     """
-    A written file, of one part, under its environment: by the renderer of the fit, as a reference renderer.
+    A written file under its environment: by the renderer of the fit, as a reference renderer.
     """
 
     def __init__(self, asset: Asset, spp: int, form: str):
         parts = asset.placed()
-        if len(parts) != 1 or parts[0].uvs is None:
+        if any(part.uvs is None for part in parts) or len({_atlas(part) for part in parts}) > 1:
             raise AssetError(f"{asset.name}: only a model with one atlas can be shown in the light it was fitted to")
-        self.topology, self.surface, self.textures, positions = as_written(parts[0], stored_tangents(asset))
+        self.topology, self.surface, self.textures, positions = as_written(parts, stored_tangents(asset))
         self.spp = spp
         self._ambient = upload(mi.Float, np.ravel(np.asarray(asset.ambient)))
         self._renderer = DeferredRenderer(self.topology, form=form)

@@ -26,7 +26,7 @@ from ..judging.comparison import Comparison
 from ..judging.evaluate import Judging, Rendering, compare_renderings
 from ..model.asset import Asset
 from ..model.frame import Frame
-from ..model.harmonics import constant_environment, environment_coefficients
+from ..model.light.harmonics import constant_environment, environment_coefficients
 from ..model.model import Model, VertexSets
 from ..progress import ProgressCallback
 from ..report.portrait import in_frame, portrait_view, render_picture

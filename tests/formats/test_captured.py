@@ -17,7 +17,7 @@ from mi_simplify.initial.sphere import sphere
 from mi_simplify.initial.visual_hull import visual_hull
 from mi_simplify.judging.metrics import psnr
 from mi_simplify.model.asset import Asset, Instance, Material, Part
-from mi_simplify.model.harmonics import constant_environment, environment_image
+from mi_simplify.model.light.harmonics import constant_environment, environment_image
 from mi_simplify.scenes.references.images import ImageReference, squared
 from mi_simplify.scenes.references.mitsuba import MitsubaReference
 from mi_simplify.scenes.references.path_traced import make_reference
@@ -258,7 +258,7 @@ def test_images_alone_are_fitted_from_the_command_line(light, tmp_path, capsys):
 
 def test_an_environment_is_an_image_as_mitsuba_holds_it():
     """Radiance in some directions, looked up by Mitsuba's own envmap."""
-    from mi_simplify.model.harmonics import harmonics
+    from mi_simplify.model.light.harmonics import harmonics
 
     coefficients = constant_environment((1, 1, 1)) + np.random.default_rng(0).normal(size=(16, 3)) * 0.1
     image = environment_image(coefficients, 128)

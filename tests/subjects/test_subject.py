@@ -11,7 +11,7 @@ from mi_simplify import cli
 from mi_simplify.config import load_config
 from mi_simplify.errors import AssetError
 from mi_simplify.initial.sphere import sphere
-from mi_simplify.model.harmonics import constant_environment, environment_coefficients, environment_image
+from mi_simplify.model.light.harmonics import constant_environment, environment_coefficients, environment_image
 from mi_simplify.subjects import open_subject
 
 

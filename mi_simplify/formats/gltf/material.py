@@ -12,14 +12,14 @@ from ..images import constant, join_channels, opacity, rgb, to_float, unit_norma
 from ..mapping import Mapping, Mappings
 from .file import GltfFile
 
-#: What is left out of a material, by extension.
-_LEFT_OUT = {
+#: Of these the factors are carried over unchanged, by extension; no renderer here shows them.
+_LOBES = {
     "KHR_materials_clearcoat": "clear coat", "KHR_materials_sheen": "sheen",
     "KHR_materials_transmission": "transmission", "KHR_materials_volume": "volume",
     "KHR_materials_iridescence": "iridescence", "KHR_materials_anisotropy": "anisotropy",
-    "KHR_materials_ior": "index of refraction", "KHR_materials_unlit": "'unlit' (it is lit)",
+    "KHR_materials_ior": "index of refraction", "KHR_materials_unlit": "'unlit'",
     "KHR_materials_dispersion": "dispersion", "KHR_materials_diffuse_transmission": "diffuse transmission",
-    "KHR_materials_subsurface": "subsurface scattering",
+    "KHR_materials_volume_scatter": "subsurface scattering",
 }  # fmt: skip
 
 #: Why textures that share one of ours cannot be joined.
@@ -74,9 +74,6 @@ class _MaterialReader:
         normal = None
         if info and pixels is not None:
             normal = unit_normals(to_float(rgb(pixels), srgb=False) * 2 - 1, float(self._numbers(info, "scale", 1)[0]))
-        for extension, meaning in _LEFT_OUT.items():
-            if extension in extensions:
-                self._note(f"{meaning} of material '{self.name}' was left out")
         occlusion, emission = self._occlusion(), self._emission(extensions)
         return Material(
             name=self.name,
@@ -88,8 +85,27 @@ class _MaterialReader:
             emission=emission,
             occlusion=occlusion,
             double_sided=bool(source.get("doubleSided", False)),
+            lobes=self._lobes(extensions),
             lookups=self.mappings.lookups,
         )
+
+    def _lobes(self, extensions: dict) -> dict:
+        """The factors of further lobes, by extension."""
+        out: dict = {}
+        for extension, meaning in _LOBES.items():
+            if not isinstance(found := extensions.get(extension), dict):
+                continue
+            textures = sorted(key for key in found if key.endswith("Texture"))
+            out[extension] = {key: found[key] for key in found if key not in textures and key != "extensions"}
+            seen = (
+                "carried over, but not shown here" if extension != "KHR_materials_unlit" else "carried over; it is lit"
+            )
+            self._note(f"{meaning} of material '{self.name}' is {seen}")
+            if textures:
+                self._note(
+                    f"{', '.join(textures)} of material '{self.name}' was left out; the factors are carried over"
+                )
+        return out
 
     def _occlusion(self) -> np.ndarray | None:
         """Red of its texture, weakened to its strength, shape (H, W, 1)."""

@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import AssetError, MeshError
 from ...machine import memory
 from ...model.asset import FEWER_INSTANCES, PER_CORNER, PER_INSTANCE, Asset, Instance, Part
-from ...model.emission import ambient_of, without_ambient
+from ...model.light.emission import ambient_of, without_ambient
 from ..images import constant
 from ..influences import renumbered
 from ..mapping import Mapping, placed

@@ -1,5 +1,5 @@
 """
-The one primitive of a file that is written: vertex attributes, indices, morph targets.
+The primitives of a file that is written, one a group of faces, with the same vertices: attributes, morph targets.
 """
 
 from __future__ import annotations
@@ -13,40 +13,47 @@ from ...model.mesh import Mesh
 from ...model.model import Model
 from ...model.tangents import split_mirrored, vertex_tangents
 from .container import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Container, some
-from .order import ordered
+from .order import ordered_groups
 from .quantize import EXTENSION, Grid, directions, texture_coordinates
 
 
 @dataclass(frozen=True)
-class Primitive:
+class Primitives:
     """
     Parameters
     ----------
     mesh : Mesh
         As stored: no vertex with two signs of tangents, in the order of :func:`.order.ordered`.
-    entry : dict
-        Of the JSON, without its material.
+    attributes : dict
+        Of all primitives.
+    entries : list of dict
+        Of the JSON, one for each group, without their materials.
     grid : Grid or None
         What positions are rounded to; None: they are exact.
     """
 
     mesh: Mesh
-    entry: dict
+    attributes: dict
+    entries: list[dict]
     grid: Grid | None
 
 
-def write_primitive(container: Container, model: Model, settings: GlbSettings, *, tangents: bool) -> Primitive:
+def write_primitives(container: Container, model: Model, settings: GlbSettings, *, tangents: bool) -> Primitives:
     """
     Append the mesh of a model, which has faces.
     """
-    mesh = ordered(split_mirrored(model.mesh) if tangents else model.mesh)
+    groups = model.face_groups
+    mesh, of_face = ordered_groups(split_mirrored(model.mesh) if tangents else model.mesh, groups.of_face)
     grid = None
     if settings.compress != "none":
         grid = Grid.around(mesh.vertices)
         container.extensions.add(EXTENSION)
         container.required.add(EXTENSION)
-    entry = {"attributes": _attributes(container, mesh, grid, tangents), "indices": _indices(container, mesh)}
-    return Primitive(mesh, {**entry, **some("targets", _targets(container, model, mesh, grid))}, grid)
+    attributes = _attributes(container, mesh, grid, tangents)
+    shared = {"attributes": attributes, **some("targets", _targets(container, model, mesh, grid))}
+    faces = [mesh.faces[of_face == k] for k in range(len(groups.kinds))]
+    entries = [shared | {"indices": _indices(container, f, len(mesh.uvs))} for f in faces]
+    return Primitives(mesh, attributes, entries, grid)
 
 
 def _attributes(container: Container, mesh: Mesh, grid: Grid | None, tangents: bool) -> dict[str, int]:
@@ -74,9 +81,9 @@ def _attributes(container: Container, mesh: Mesh, grid: Grid | None, tangents: b
     return out
 
 
-def _indices(container: Container, mesh: Mesh) -> int:
-    small = len(mesh.uvs) <= 65535  # 65535 itself is reserved (primitive restart)
-    return container.accessor(mesh.faces.ravel().astype("<u2" if small else "<u4"), ELEMENT_ARRAY_BUFFER)
+def _indices(container: Container, faces: np.ndarray, n_vertices: int) -> int:
+    small = n_vertices <= 65535  # 65535 itself is reserved (primitive restart)
+    return container.accessor(faces.ravel().astype("<u2" if small else "<u4"), ELEMENT_ARRAY_BUFFER)
 
 
 def _targets(container: Container, model: Model, mesh: Mesh, grid: Grid | None) -> list[dict] | None:

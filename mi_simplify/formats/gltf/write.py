@@ -12,12 +12,13 @@ from ... import __version__
 from ...config.schema import GlbSettings
 from ...errors import MeshError
 from ...machine.files import write_atomic
+from ...model.groups import Group
 from ...model.model import Model
 from ..origin import recentred
 from ..textures import HOLDS_AMBIENT, Textures, encode_textures, png
 from .container import Container, some
 from .rig import write_rig
-from .vertices import write_primitive
+from .vertices import write_primitives
 
 LINEAR, LINEAR_MIPMAP_LINEAR, REPEAT = 9729, 9987, 10497
 
@@ -72,28 +73,30 @@ def glb_bytes(model: Model, *, extras: dict | None = None, settings: GlbSettings
     model, origin = recentred(model)
     textures = encode_textures(model)
     has_relief = bool((textures.normal != FLAT).any())
-    primitive = write_primitive(container, model, settings, tangents=settings.tangents and has_relief)
-    material = _material(container, model, textures)
+    primitive = write_primitives(container, model, settings, tangents=settings.tangents and has_relief)
+    kinds = model.face_groups.kinds
+    painted = _material(container, textures)
+    materials = [_of_group(painted, kind, kind.name if len(kinds) > 1 else model.name) for kind in kinds]
     place = {"translation": origin.tolist()} if origin.any() else {}
     node: dict = {"name": model.name, "mesh": 0, **place}
     more: dict = {}
     if model.skin is not None:
-        attributes = primitive.entry["attributes"]
-        more = write_rig(container, model.name, model.skin, primitive.mesh, primitive.grid, node, attributes)
+        more = write_rig(container, model.name, model.skin, primitive.mesh, primitive.grid, node, primitive.attributes)
         more["nodes"][1] |= place  # the joints are moved, the mesh follows them
     elif primitive.grid is not None:
         node |= {"scale": [primitive.grid.scale] * 3, "translation": (origin + primitive.grid.offset).tolist()}
-    mesh = {"name": model.name, "primitives": [primitive.entry | {"material": 0}], **_target_names(model)}
+    primitives = [entry | {"material": k} for k, entry in enumerate(primitive.entries)]
+    mesh = {"name": model.name, "primitives": primitives, **_target_names(model)}
     document = {
         "asset": {"version": "2.0", "generator": f"mi_simplify {__version__}", **_metadata(model, textures, extras)},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [node],
         "meshes": [mesh],
-        "materials": [material],
+        "materials": materials,
         "samplers": [{"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": REPEAT, "wrapT": REPEAT}],
     }
-    container.extensions.update(material.get("extensions", ()))
+    container.extensions.update(*(material.get("extensions", ()) for material in materials))
     return container.glb(document | more)
 
 
@@ -115,11 +118,18 @@ def _target_names(model: Model) -> dict:
     return {"weights": [0.0] * len(names), "extras": {"targetNames": names, "imageSizes": list(sets.sizes)}}
 
 
-def _material(container: Container, model: Model, textures: Textures) -> dict:
-    """The material, its images appended to the buffer."""
+def _of_group(painted: dict, group: Group, name: str) -> dict:
+    """The material of a group: what all share, and what cannot be painted."""
+    cutoff = {"alphaCutoff": float(group.alpha_cutoff)} if group.alpha_mode == "MASK" else {}
+    extensions = {**painted.get("extensions", {}), **group.lobes}
+    own = {"name": name, "alphaMode": group.alpha_mode, "doubleSided": group.double_sided, **cutoff}
+    return painted | own | some("extensions", extensions or None)
+
+
+def _material(container: Container, textures: Textures) -> dict:
+    """What the materials of all groups share, its images appended to the buffer."""
     base, orm = (_texture(container, name, getattr(textures, name)) for name in ("base_color", "orm"))
     material: dict = {
-        "name": model.name,
         "pbrMetallicRoughness": {
             "baseColorTexture": base,
             "metallicRoughnessTexture": orm,
@@ -127,11 +137,7 @@ def _material(container: Container, model: Model, textures: Textures) -> dict:
             "roughnessFactor": 1.0,
         },
         "normalTexture": _texture(container, "normal", textures.normal),
-        "alphaMode": model.alpha_mode,
-        "doubleSided": True,
     }
-    if model.alpha_mode == "MASK":
-        material["alphaCutoff"] = float(model.alpha_cutoff)
     extensions: dict = {}
     if textures.has_occlusion:
         material["occlusionTexture"] = dict(orm)

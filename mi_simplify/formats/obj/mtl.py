@@ -17,7 +17,7 @@ import numpy as np
 
 from ...model.asset import Material
 from ...model.color import srgb_to_linear
-from ...model.emission import ambient_of, own_emission
+from ...model.light.emission import ambient_of, own_emission
 from ..images import constant, is_normal_map, join_channels, opacity, rgb, to_float, unit_normals
 from ..mapping import Mapping, Mappings
 from ..resources import MissingFile, Resources, as_utf8, printable, read_bytes

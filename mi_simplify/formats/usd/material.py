@@ -92,7 +92,7 @@ class _Reader:
         mode = "MASK" if threshold > 0 else "BLEND" if alpha.size > 1 or alpha.max() < 1 else "OPAQUE"
         emission = np.maximum(self._value("emissiveColor", color=True), 0)
         occlusion = np.clip(self._value("occlusion"), 0, 1)
-        for key, neutral in (("clearcoat", 0), ("displacement", 0)):
+        for key, neutral in (("displacement", 0),):
             source = _source(self.shader, key)
             value = _plain(self.shader, key, neutral)
             if source is not None or (value is not None and np.any(np.asarray(value, float) != neutral)):
@@ -106,8 +106,23 @@ class _Reader:
             alpha_cutoff=threshold if threshold > 0 else 0.5,
             emission=emission if emission.any() else None,
             occlusion=occlusion if (occlusion < 1).any() else None,
+            lobes=self._lobes(),
             lookups=self.mappings.lookups,
         )
+
+    def _lobes(self) -> dict:
+        """Clear coat and index of refraction by the names of glTF."""
+        out: dict = {}
+        coat = {"clearcoatFactor": "clearcoat", "clearcoatRoughnessFactor": "clearcoatRoughness"}
+        if any(_source(self.shader, key) for key in coat.values()):
+            self._note("clearcoat", "comes from a texture, which was left out")
+        elif (strength := float(_plain(self.shader, "clearcoat", 0.0))) > 0:
+            roughness = float(_plain(self.shader, "clearcoatRoughness", 0.01))
+            out["KHR_materials_clearcoat"] = dict(zip(coat, (strength, roughness), strict=True))
+            self._note("clearcoat", "is carried over, but not shown here")
+        if (ior := float(_plain(self.shader, "ior", 1.5))) != 1.5:
+            out["KHR_materials_ior"] = {"ior": ior}
+        return out
 
     def _value(self, key: str, color: bool = False) -> np.ndarray:
         """An input as a linear image, shape (H, W, 3) for colours, else (H, W, 1)."""

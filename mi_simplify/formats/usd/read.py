@@ -16,7 +16,7 @@ from pxr import Tf, Usd, UsdGeom, UsdUtils
 from ...errors import AssetError
 from ...machine import memory
 from ...model.asset import FEWER_INSTANCES, PER_INSTANCE, Asset, Instance, Part
-from ...model.emission import ambient_of, without_ambient
+from ...model.light.emission import ambient_of, without_ambient
 from ..influences import renumbered
 from ..resources import Resources
 from ..textures import HOLDS_AMBIENT

@@ -12,6 +12,7 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 from ... import __version__
 from ...errors import MeshError
 from ...machine.files import side_file_stem, write_atomic
+from ...model.groups import Group
 from ...model.model import Model
 from ..origin import recentred
 from ..textures import HOLDS_AMBIENT, Textures, encode_textures, png
@@ -67,8 +68,7 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
         root.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*origin.tolist()))
     Usd.ModelAPI(root).SetKind("component")
     mesh = _mesh(stage, root.GetPath().AppendChild("mesh"), model)
-    material = _material(stage, root.GetPath().AppendChild("material"), model, stem, textures)
-    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    _bind_groups(stage, root, mesh, model, stem, textures)
     if model.skin is not None:
         bind_skeleton(stage, root, mesh, model.mesh, model.skin)
 
@@ -81,6 +81,25 @@ def write_usd(model: Model, path: str | Path, *, extras: dict | None = None) -> 
             raise OSError(0, "USD could not write the file")
 
     return write_atomic(path, export)
+
+
+def _bind_groups(
+    stage: Usd.Stage, root: UsdGeom.Xform, mesh: UsdGeom.Mesh, model: Model, stem: str, textures: Textures
+) -> None:
+    """A material for every group, bound to the mesh, or to subsets of its faces where there are several."""
+    groups, binding = model.face_groups, UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim())
+    several = len(groups.kinds) > 1
+    if several:
+        binding.SetMaterialBindSubsetsFamilyType(UsdGeom.Tokens.partition)
+    for k, group in enumerate(groups.kinds):
+        name = f"material_{k}" if several else "material"
+        material = _material(stage, root.GetPath().AppendChild(name), group, stem, textures)
+        if several:
+            faces = Vt.IntArray.FromNumpy(np.flatnonzero(groups.of_face == k).astype(np.int32))
+            subset = binding.CreateMaterialBindSubset(f"group_{k}", faces)
+            UsdShade.MaterialBindingAPI.Apply(subset.GetPrim()).Bind(material)
+        else:
+            binding.Bind(material)
 
 
 def _mesh(stage: Usd.Stage, path: Sdf.Path, model: Model) -> UsdGeom.Mesh:
@@ -97,7 +116,7 @@ def _mesh(stage: Usd.Stage, path: Sdf.Path, model: Model) -> UsdGeom.Mesh:
     mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([points.min(0), points.max(0)])))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
-    mesh.CreateDoubleSidedAttr(True)
+    mesh.CreateDoubleSidedAttr(any(kind.double_sided for kind in model.face_groups.kinds))
     uvs = (np.asarray(source.uvs, np.float64) * [1.0, -1.0] + [0.0, 1.0]).astype(np.float32)
     st = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
     st.Set(Vt.Vec2fArray.FromNumpy(uvs))
@@ -105,7 +124,7 @@ def _mesh(stage: Usd.Stage, path: Sdf.Path, model: Model) -> UsdGeom.Mesh:
     return mesh
 
 
-def _material(stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str, textures: Textures) -> UsdShade.Material:
+def _material(stage: Usd.Stage, path: Sdf.Path, group: Group, stem: str, textures: Textures) -> UsdShade.Material:
     """Metallic-roughness UsdPreviewSurface, one texture reader per file."""
     material = UsdShade.Material.Define(stage, path)
     surface = _shader(stage, path, "surface", "UsdPreviewSurface")
@@ -142,10 +161,15 @@ def _material(stage: Usd.Stage, path: Sdf.Path, model: Model, stem: str, texture
         glow, emission = texture("emission", "sRGB"), textures.emission_strength
         glow.CreateInput("scale", Sdf.ValueTypeNames.Float4).Set(Gf.Vec4f(emission, emission, emission, 1))
         connect("emissiveColor", Sdf.ValueTypeNames.Color3f, glow, "rgb")
-    if model.alpha_mode != "OPAQUE":
+    for key, name in (("clearcoatFactor", "clearcoat"), ("clearcoatRoughnessFactor", "clearcoatRoughness")):
+        if (value := group.lobes.get("KHR_materials_clearcoat", {}).get(key)) is not None:
+            surface.CreateInput(name, Sdf.ValueTypeNames.Float).Set(float(value))
+    if (ior := group.lobes.get("KHR_materials_ior", {}).get("ior")) is not None:
+        surface.CreateInput("ior", Sdf.ValueTypeNames.Float).Set(float(ior))
+    if group.alpha_mode != "OPAQUE":
         connect("opacity", Sdf.ValueTypeNames.Float, base, "a")
-    if model.alpha_mode == "MASK":
-        surface.CreateInput("opacityThreshold", Sdf.ValueTypeNames.Float).Set(float(model.alpha_cutoff))
+    if group.alpha_mode == "MASK":
+        surface.CreateInput("opacityThreshold", Sdf.ValueTypeNames.Float).Set(float(group.alpha_cutoff))
     surface_output = surface.CreateOutput("surface", Sdf.ValueTypeNames.Token)
     material.CreateSurfaceOutput().ConnectToSource(surface_output)
     return material

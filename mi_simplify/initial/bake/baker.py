@@ -17,6 +17,7 @@ from ...model.asset import Asset, Material
 from ...model.mesh import Mesh
 from ...model.topology import area_vectors
 from ..closest import ClosestPoints, sample_surface
+from ..groups import Grouping
 from ..reduce.cleanup import clean
 from ..soup import merge
 from ..unwrap.atlas import dilate
@@ -57,7 +58,10 @@ class Baked:
     occlusion: np.ndarray | None = None
 
 
-def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach: float | None = None) -> Baked:
+def bake(
+    asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach: float | None = None,
+    grouping: Grouping | None = None,
+) -> Baked:  # fmt: skip
     """
     Look from every texel along the smooth normal, both ways, and write down the closest surface that faces alike.
 
@@ -73,6 +77,8 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
         ``samples``² points to a texel, averaged.
     reach : float, optional
         How far to look either way [world units]; by default from the distance of the two surfaces nearby.
+    grouping : Grouping, optional
+        Of the faces of ``mesh``: each looks at the surface of its own group alone, and opaque ones come out opaque.
 
     Raises
     ------
@@ -86,8 +92,19 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
 
     soup, _ = clean(merge(asset))
     closest = ClosestPoints(soup.vertices, soup.faces)
-    low = LowPoly(mesh, reaches(mesh, closest, soup.diagonal) if reach is None else np.full(len(mesh.positions), reach))
-    detail = Detail(soup)
+    far = reaches(mesh, closest, soup.diagonal) if reach is None else np.full(len(mesh.positions), reach)
+    low = LowPoly(mesh, far, None if grouping is None else grouping.groups.of_face)
+    owner = None if grouping is None else grouping.of_material[soup.material_index]
+    detail = Detail(soup, owner)
+    n_groups = 1 if grouping is None else len(grouping.groups.kinds)
+    is_opaque = mi.Bool(
+        [grouping is not None and grouping.groups.kinds[k].alpha_mode == "OPAQUE" for k in range(n_groups)]
+    )
+    if owner is not None and n_groups > 1:
+        within = [np.flatnonzero(owner == k) for k in range(n_groups)]
+        nearest = [(which, ClosestPoints(soup.vertices, soup.faces[which])) for which in within]
+    else:
+        nearest = [(np.arange(len(soup.faces)), closest)]
 
     total = [mi.Float(0)] * (N_VALUES + 1)
     n_missed = 0
@@ -98,19 +115,36 @@ def bake(asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach:
         lost = dr.compress(points.active & (hits.face == MISS))
         if len(lost):
             n_missed += len(lost)
-            p, n = (dr.gather(type(x), x, lost).numpy().T for x in (points.p, points.ray))
-            found = closest.query(p, n, candidates=4)
-            dr.scatter(hits.face, upload(mi.UInt32, found.face), lost)
-            dr.scatter(hits.b, upload(mi.Point2f, found.barycentric[:, 1:]), lost)
+            p, n, group = (dr.gather(type(x), x, lost).numpy().T for x in (points.p, points.ray, points.group))
+            for k, (which, near) in enumerate(nearest):
+                here = np.flatnonzero(group == k)
+                if not len(here):
+                    continue
+                found, place = near.query(p[here], n[here], candidates=4), upload(mi.UInt32, lost.numpy()[here])
+                dr.scatter(hits.face, upload(mi.UInt32, which[found.face]), place)
+                dr.scatter(hits.b, upload(mi.Point2f, found.barycentric[:, 1:]), place)
         hits.face = dr.select(hits.face == MISS, 0, hits.face)
         dr.eval(hits)
-        values = [*seen(detail, points, hits), dr.select(points.active, mi.Float(1), 0)]
+        values = [*_solid(seen(detail, points, hits), dr.gather(mi.Bool, is_opaque, points.group))]
+        values.append(mi.Float(1))
+        values = [dr.select(points.active, x, 0) for x in values]
         total = [a + b for a, b in zip(total, values, strict=True)]
         dr.eval(total)
     sums = np.stack([x.numpy() for x in total], 1).reshape(size, size, N_VALUES + 1)
     if not sums[..., N_VALUES].any():
         raise MeshError("the low-poly mesh covers no texel; it needs texture coordinates")
     return _finish(sums, soup.materials, n_missed / sums[..., N_VALUES].sum())
+
+
+def _solid(values: list[mi.Float], opaque: mi.Bool) -> list[mi.Float]:
+    """What :func:`.decals.seen` found, with opacity 1 where a surface is opaque."""
+    opacity = values[6]
+    solid = [
+        dr.select(opacity > 1e-3, x / dr.maximum(opacity, 1e-3), y)
+        for x, y in zip(values[:3], values[3:6], strict=True)
+    ]
+    solid = [*solid, *values[3:6], mi.Float(1), *values[7:]]
+    return [dr.select(opaque, x, y) for x, y in zip(solid, values, strict=True)]
 
 
 def _finish(sums: np.ndarray, materials: tuple[Material, ...], missed: float) -> Baked:

@@ -43,6 +43,8 @@ class Points:
         How far the reference is looked for, both ways along ``ray`` [world units].
     ray : mi.Vector3f
         Unit normal without creases: neighbouring charts must not look past each other.
+    group : mi.UInt32
+        Of the face.
     """
 
     active: mi.Bool
@@ -52,6 +54,7 @@ class Points:
     w: mi.Float
     reach: mi.Float
     ray: mi.Vector3f
+    group: mi.UInt32
 
 
 @dataclass
@@ -82,9 +85,11 @@ class LowPoly:
         UVs without overlap; where they leave [0, 1] they repeat.
     reach : ndarray, shape (P,)
         Length of the rays at every position [world units].
+    group : ndarray, shape (F,), optional
+        Of the faces; all are of one if not given.
     """
 
-    def __init__(self, mesh: Mesh, reach: np.ndarray):
+    def __init__(self, mesh: Mesh, reach: np.ndarray, group: np.ndarray | None = None):
         mesh = split_mirrored(mesh)
         normals = mesh.normals()
         tangents, w = vertex_tangents(mesh, normals)
@@ -92,8 +97,9 @@ class LowPoly:
         index = mesh.position_index
         columns = [mesh.vertices, w, normals[mesh.normal_groups], reach[index], tangents, w, smooth[index], w]
         self.packets = _flat(np.column_stack(columns))
-        flat, faces = _tiled(mesh)
-        self.faces = upload(mi.UInt32, faces.ravel())
+        flat, which = _tiled(mesh)
+        self.faces = upload(mi.UInt32, mesh.faces[which].ravel())
+        self.group = upload(mi.UInt32, np.zeros(len(which), np.int64) if group is None else group[which])
         self.scene = _scene(np.column_stack([flat, np.zeros(len(flat))]), np.arange(len(flat)).reshape(-1, 3))
 
     def points(self, size: int, offset: tuple[float, float]) -> Points:
@@ -110,11 +116,12 @@ class LowPoly:
         n = dr.normalize(nr.xyz)
         t = dr.normalize(tw.xyz - n * dr.dot(n, tw.xyz))
         w = dr.select(tw.w < 0, mi.Float(-1), 1)
-        return Points(active, mi.Point3f(pw.xyz), n, t, w, nr.w, dr.normalize(sw.xyz))
+        group = dr.gather(mi.UInt32, self.group, pi.prim_index, active)
+        return Points(active, mi.Point3f(pw.xyz), n, t, w, nr.w, dr.normalize(sw.xyz), group)
 
 
 def _tiled(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Corners in the texture (3N, 2) and vertices (N, 3) of the faces, one copy for every tile that a face reaches."""
+    """Corners in the texture (3N, 2) of the faces, one copy for every tile that a face reaches, and which they are."""
     uv = mesh.uvs.astype(np.float64)[mesh.faces]
     low = np.floor(uv.min(1)).astype(int)
     high = np.maximum(np.ceil(uv.max(1)).astype(int) - 1, low)
@@ -123,7 +130,7 @@ def _tiled(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
         for v in range(low[:, 1].min(), high[:, 1].max() + 1):
             here = (low <= [u, v]).all(1) & ([u, v] <= high).all(1)
             corners.append(uv[here] - [u, v])
-            faces.append(mesh.faces[here])
+            faces.append(np.flatnonzero(here))
     return np.concatenate(corners).reshape(-1, 2), np.concatenate(faces)
 
 
@@ -194,9 +201,16 @@ class Images:
 class Detail:
     """
     The reference: a scene to trace, and what it looks like at a hit.
+
+    Parameters
+    ----------
+    soup : Soup
+    group : ndarray, shape (F,), optional
+        Of its faces; -1 for one that no point is of.
     """
 
-    def __init__(self, soup: Soup):
+    def __init__(self, soup: Soup, group: np.ndarray | None = None):
+        self.group = None if group is None or (group == group[0]).all() else upload(mi.UInt32, np.maximum(group, 0))
         rows = np.column_stack([soup.vertices, soup.normals, soup.uvs, soup.colors, soup.more_uvs])
         rows, index = weld(rows)  # MikkTSpace shares a tangent where position, normal and UV are equal
         mesh = Mesh(rows[:, :3], np.arange(len(rows)), rows[:, 6:8].astype(np.float32), index[soup.faces])
@@ -233,7 +247,8 @@ class Detail:
         """
         From outside inwards along the smooth normal: of the surfaces that face alike the one closest to the point.
         """
-        return _march(self.scene, self.faces, self.packets, self.slots, self.step, s)
+        of_face = mi.UInt32(0) if self.group is None else self.group
+        return _march(self.scene, self.faces, self.packets, self.slots, self.step, s, of_face, self.group is not None)
 
     def position(self, hits: SurfacePoints) -> mi.Point3f:
         """Where hits are; every face must exist."""
@@ -300,8 +315,9 @@ def _face_normal(packets: mi.Float, slots: int, corners: mi.Vector3u, active) ->
 
 @dr.syntax
 def _march(
-    scene: mi.Scene, faces: mi.UInt32, packets: mi.Float, slots: int, step: mi.Float, s: Points
-) -> SurfacePoints:
+    scene: mi.Scene, faces: mi.UInt32, packets: mi.Float, slots: int, step: mi.Float, s: Points, of_face: mi.UInt32,
+    grouped: bool,
+) -> SurfacePoints:  # fmt: skip
     face, b = mi.UInt32(MISS), mi.Point2f(0)
     best = mi.Float(dr.inf)
     t = mi.Float(0)  # way from the outer end
@@ -317,6 +333,8 @@ def _march(
         corners = dr.gather(mi.Vector3u, faces, pi.prim_index, active)
         off = dr.abs(t - reach)
         better = active & (dr.dot(_face_normal(packets, slots, corners, active), n) > 0) & (off < best)
+        if dr.hint(grouped, mode="scalar"):
+            better &= dr.gather(mi.UInt32, of_face, pi.prim_index, active) == s.group
         face = dr.select(better, pi.prim_index, face)
         b = dr.select(better, pi.prim_uv, b)
         best = dr.select(better, off, best)

@@ -85,7 +85,9 @@ def _look(scene, detail, face_of, card_of, frames, x, y, side: int, away: float)
         card = dr.gather(mi.UInt32, card_of, pi.prim_index, active)
         t, b, m = (dr.gather(mi.Vector4f, frames, card * 3 + k, active).xyz for k in range(3))
         zero = mi.Float(0)
-        at = Points(active, mi.Point3f(0), mi.Vector3f(m), mi.Vector3f(t), mi.Float(1), zero, mi.Vector3f(m))
+        at = Points(
+            active, mi.Point3f(0), mi.Vector3f(m), mi.Vector3f(t), mi.Float(1), zero, mi.Vector3f(m), mi.UInt32(0)
+        )
         values = detail.shade(at, SurfacePoints(face, dr.select(active, pi.prim_uv, 0)))
         opacity = values[6]
         weight = through * opacity

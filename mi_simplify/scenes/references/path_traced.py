@@ -14,6 +14,7 @@ from ...errors import AssetError, UserError
 from ...formats.mitsuba.file import Node, SceneFile
 from ...formats.mitsuba.read import SceneAsset, is_emitting
 from ...model.asset import Asset
+from ...model.groups import is_see_through
 from ..shapes import asset_shapes
 from .animated import AnimatedReference
 from .mitsuba import MitsubaReference
@@ -81,7 +82,7 @@ def make_reference(
     if isinstance(asset, SceneAsset):
         reference = scene_reference(asset.file, transport=transport, spp=spp, max_depth=max_depth, lights=lights)
     else:
-        transparent = any(p.material.alpha_mode != "OPAQUE" for p in asset.parts)
+        transparent = any(is_see_through(p) for p in asset.parts)
         integrator = _integrator(transport, max_depth, transparent)
         if ambient is not None:
             integrator["ambient"] = mi.ScalarVector3f(*(float(x) for x in ambient[0]))

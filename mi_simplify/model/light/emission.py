@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .asset import Asset, Material
+from ..asset import Asset, Material
 from .harmonics import COUNTS
 
 #: Emission up to this share of the largest is what 8 bits leave of zero.
@@ -17,7 +17,7 @@ _NOISE = 2.0 / 255
 
 def emission_of(ambient: np.ndarray, base_color: np.ndarray, metallic: np.ndarray) -> np.ndarray:
     """
-    What :func:`..latent.ambient.ambient_radiance` is, texel by texel, shape (H, W, 3), linear.
+    What :func:`...latent.ambient.ambient_radiance` is, texel by texel, shape (H, W, 3), linear.
 
     Parameters
     ----------
