@@ -4,6 +4,7 @@ The commands that look at what is there: figures, reports, pictures.
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
@@ -71,6 +72,19 @@ def report(out) -> None:
     from ..report import report_folder
 
     print(report_folder(out))
+
+
+@click.command()
+@click.argument("file")
+@click.option("--json", "as_json", is_flag=True, help="JSON instead of lines.")
+def inspect(file, as_json) -> None:
+    """
+    List what FILE, a model, holds: parts, materials, animation; what would be baked, kept, and left out.
+    """
+    from ..formats.inventory import inventory, lines_of
+
+    found = inventory(file)
+    print(json.dumps(found, indent=2) if as_json else "\n".join(lines_of(found)))
 
 
 @click.command()

@@ -13,7 +13,7 @@ import click
 from .. import __version__
 from ..errors import Defect, UserError
 from .about import config_schema, doctor, version
-from .judging import compare, evaluate, render, report
+from .judging import compare, evaluate, inspect, render, report
 from .making import bake, forest, lod, run, simplify
 
 
@@ -25,7 +25,21 @@ def cli() -> None:
     """
 
 
-for _command in (simplify, run, lod, bake, forest, evaluate, compare, report, render, doctor, version, config_schema):
+for _command in (
+    simplify,
+    run,
+    lod,
+    bake,
+    forest,
+    evaluate,
+    compare,
+    report,
+    render,
+    inspect,
+    doctor,
+    version,
+    config_schema,
+):
     cli.add_command(_command)
 
 

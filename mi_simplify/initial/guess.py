@@ -216,13 +216,14 @@ def _textured(
             notes.append(
                 f"{baked.missed:.0%} of the baked points saw no surface along their normal and took the closest"
             )
-        mode, cutoff = overall(grouping.groups)
+        groups = grouping.groups.solid(baked.least_opacity)
+        mode, cutoff = overall(groups)
         images: dict[str, Any] = {"base_color": baked.base_color, "specular": baked.specular, "normal": baked.normal}
         more: dict[str, Any] = {"emission": baked.emission, "occlusion": baked.occlusion}
         if oversample > 1:
             images = filtered_levels(**images)[oversample.bit_length() - 2]
             more = {name: None if x is None else coarser(x, oversample) for name, x in more.items()}
-        model = replace(model, alpha_mode=mode, alpha_cutoff=cutoff, **images, **more)
+        model = replace(model, alpha_mode=mode, alpha_cutoff=cutoff, groups=groups, **images, **more)
     return model, _logged(notes)
 
 

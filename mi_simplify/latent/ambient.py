@@ -5,9 +5,9 @@ One coefficient is an ambient term: its radiance on a surface is ``ambient · kd
 (Hasselgren et al. 2021, Sect. 4.5: "an ambient material term").
 
 (d + 1)² coefficients are an environment, distant light without shadows, in real spherical harmonics of degree d
-(:mod:`..model.light.harmonics`). Its diffuse part is exact up to that degree (Ramamoorthi and Hanrahan 2001); the glossy
-one is the environment in the mirrored direction, blurred by ``exp(-(α l)²)`` in band l, times an approximation of the
-integral of the BSDF (Karis 2014, "Physically Based Shading on Mobile").
+(:mod:`..model.light.harmonics`). Its diffuse part is exact up to that degree (Ramamoorthi and Hanrahan 2001); the
+glossy one is the environment in the mirrored direction, blurred by ``exp(-(α l)²)`` in band l, times an approximation
+of the integral of the BSDF (Karis 2014, "Physically Based Shading on Mobile").
 
 Either can be optimised together with the model.
 """

@@ -6,7 +6,7 @@ and lobes that the fit does not know.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,20 @@ class Groups:
 
     kinds: tuple[Group, ...]
     of_face: np.ndarray
+
+    def solid(self, least_opacity: np.ndarray) -> Groups:
+        """
+        The groups, those opaque whose texels turned out to be, shape (groups,), as decals on what they lie on do; what
+        then is alike becomes one.
+        """
+        kinds: list[Group] = []
+        new = []
+        for kind, least in zip(self.kinds, least_opacity, strict=True):
+            kind = replace(kind, alpha_mode="OPAQUE") if least >= _OPAQUE else kind
+            k = next((k for k, other in enumerate(kinds) if other.like(kind)), len(kinds))
+            kinds += [kind] if k == len(kinds) else []
+            new.append(k)
+        return Groups(tuple(kinds), np.array(new, np.int64)[self.of_face])
 
     def split(self, times: int) -> Groups:
         """Of a mesh whose faces are split in four so often, block after block."""

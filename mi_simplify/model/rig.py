@@ -65,6 +65,8 @@ class Rig:
         How the file numbers these frames (USD: time codes), rising.
     rate : float
         Codes a second.
+    clip_name : str
+        Name of the clip.
     """
 
     names: tuple[str, ...]
@@ -73,6 +75,7 @@ class Rig:
     poses: np.ndarray
     codes: np.ndarray
     rate: float = 24.0
+    clip_name: str = "clip"
 
     @property
     def n_frames(self) -> int:

@@ -1,6 +1,7 @@
 """The command line: every bad input is exit code 2, one line, nothing written; what options mean."""
 
 import errno
+import json
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.features import made
 from support.toy import bumpy_sphere, files
 
 from mi_simplify import cli
@@ -389,3 +391,22 @@ def test_options_of_the_start_and_of_what_is_fitted(arguments, initial, optimize
         (tmp_path / "c.yaml").write_text("asset: b.obj\n")
         assert cli.main(["run", "c.yaml", *arguments]) == 0
         assert jobs[1].latent.optimize == optimize
+
+
+def test_inspect_lists_what_a_file_holds(tmp_path, capsys):
+    path = tmp_path / "a.glb"
+    path.write_bytes(made("emission", "clear coat", "mask", "lights").bytes())
+    assert cli.main(["inspect", str(path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["triangles"] == 2 and found["parts"] == [
+        {"name": "quad", "triangles": 2, "placed": 1, "material": "m"}
+    ]  # fmt: skip
+    (material,) = found["materials"]
+    assert material["alpha_mode"] == "MASK" and material["textures"] == {"base colour": "8 x 8", "emission": "8 x 8"}
+    assert {"emission", "opacity", "base colour"} <= set(found["baked"])
+    assert "KHR_materials_clearcoat of 'm': its factors" in found["kept"]
+    assert "lights were left out" in found["left_out"] and "KHR_lights_punctual" in found["extensions"]
+    assert cli.main(["inspect", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "a.glb: 2 triangles, 1 x 1 x 0" and "  lights were left out" in lines
+    assert cli.main(["inspect", str(tmp_path / "missing.glb")]) == 2

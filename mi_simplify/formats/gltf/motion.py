@@ -32,6 +32,7 @@ class Motion:
         self.file, self.parents = file, parents
         self._curves: dict[tuple[int, str], tuple[np.ndarray, np.ndarray, str]] = {}
         animations = file.json.get("animations") or []
+        self.clip = str((animations[0].get("name") if animations else None) or "clip")
         if len(animations) > 1:
             name = animations[0].get("name") or "the first"
             file.resources.note(f"of {len(animations)} animations '{name}' was taken; the others were left out")

@@ -64,11 +64,13 @@ def write_rig(
         "inverseBindMatrices": container.accessor(inverse.astype("<f4")),
     }  # fmt: skip
     more = {"nodes": nodes, "skins": [skin], "scenes": [{"nodes": [0, 1]}]}
-    animation = _animation(container, rigging.rig.times, curves, first)
+    animation = _animation(container, rigging.rig.clip_name, rigging.rig.times, curves, first)
     return more | ({"animations": [animation]} if animation else {})
 
 
-def _animation(container: Container, times: np.ndarray, curves: dict[str, np.ndarray], first: int) -> dict | None:
+def _animation(
+    container: Container, clip: str, times: np.ndarray, curves: dict[str, np.ndarray], first: int
+) -> dict | None:
     """Channels of all that moves; None where nothing does."""
     samplers: list[dict] = []
     channels: list[dict] = []
@@ -80,4 +82,4 @@ def _animation(container: Container, times: np.ndarray, curves: dict[str, np.nda
             channels.append({"sampler": len(samplers), "target": {"node": int(first + j), "path": path}})
             output = container.accessor(np.asarray(curve[:, j], "<f4"))
             samplers.append({"input": time, "output": output, "interpolation": "LINEAR"})
-    return {"name": "clip", "samplers": samplers, "channels": channels} if channels else None
+    return {"name": clip, "samplers": samplers, "channels": channels} if channels else None

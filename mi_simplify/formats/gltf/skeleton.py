@@ -4,6 +4,8 @@ glTF skins: joints, which are nodes, as one rig.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ...errors import AssetError, MeshError
@@ -139,4 +141,4 @@ class Skeletons:
         parents = np.array([first[a] if a >= 0 else -1 for a in above])
         names = [STILL if j < 0 else self.file.item("nodes", j).get("name") or f"node_{j}" for j in nodes]
         rig, new = sorted_rig(names, parents, np.stack(binds), poses, motion.times * RATE, RATE, self.file.name)
-        return rig, new, [int(new[j]) for j in joints]
+        return replace(rig, clip_name=motion.clip), new, [int(new[j]) for j in joints]

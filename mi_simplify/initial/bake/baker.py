@@ -4,7 +4,7 @@ Ray-cast baker: what a detailed asset looks like, written into the textures of a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -46,6 +46,8 @@ class Baked:
         Linear; None where no material has any.
     occlusion : ndarray, shape (H, W, 1), float32, or None
         None where no material has any.
+    least_opacity : ndarray, shape (groups,)
+        Of the texels of each group.
     """
 
     base_color: np.ndarray
@@ -56,6 +58,7 @@ class Baked:
     missed: float
     emission: np.ndarray | None = None
     occlusion: np.ndarray | None = None
+    least_opacity: np.ndarray = field(default_factory=lambda: np.ones(1))
 
 
 def bake(
@@ -107,7 +110,8 @@ def bake(
         nearest = [(np.arange(len(soup.faces)), closest)]
 
     total = [mi.Float(0)] * (N_VALUES + 1)
-    n_missed = 0
+    n_missed, least = 0, dr.ones(mi.Float, n_groups)
+    dr.make_opaque(least)
     for k in range(samples * samples):
         points = low.points(size, ((k % samples + 0.5) / samples, (k // samples + 0.5) / samples))
         hits = detail.search(points)
@@ -128,12 +132,14 @@ def bake(
         values = [*_solid(seen(detail, points, hits), dr.gather(mi.Bool, is_opaque, points.group))]
         values.append(mi.Float(1))
         values = [dr.select(points.active, x, 0) for x in values]
+        dr.scatter_reduce(dr.ReduceOp.Min, least, values[6], points.group, points.active)
         total = [a + b for a, b in zip(total, values, strict=True)]
         dr.eval(total)
     sums = np.stack([x.numpy() for x in total], 1).reshape(size, size, N_VALUES + 1)
     if not sums[..., N_VALUES].any():
         raise MeshError("the low-poly mesh covers no texel; it needs texture coordinates")
-    return _finish(sums, soup.materials, n_missed / sums[..., N_VALUES].sum())
+    baked = _finish(sums, soup.materials, n_missed / sums[..., N_VALUES].sum())
+    return replace(baked, least_opacity=least.numpy())
 
 
 def _solid(values: list[mi.Float], opaque: mi.Bool) -> list[mi.Float]:
