@@ -81,7 +81,7 @@ def inspect(file, as_json) -> None:
     """
     List what FILE, a model, holds: parts, materials, animation; what would be baked, kept, and left out.
     """
-    from ..formats.inventory import inventory, lines_of
+    from ..report.inventory import inventory, lines_of
 
     found = inventory(file)
     print(json.dumps(found, indent=2) if as_json else "\n".join(lines_of(found)))

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ..formats.gltf.file import GltfFile
+from ..formats.load import load_asset
 from ..model.asset import Asset, Material
 from ..model.groups import is_see_through
-from .gltf.file import GltfFile
-from .load import load_asset
 
 #: What the textures of a material are called in lists, by field.
 _TEXTURES = {
@@ -29,7 +29,7 @@ def inventory(path: str | Path) -> dict[str, Any]:
     Parameters
     ----------
     path : str or Path
-        Any file that :func:`.load.load_asset` reads.
+        Any file that :func:`..formats.load.load_asset` reads.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def inventory(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     AssetError, MeshError, MemoryLimitError
-        As of :func:`.load.load_asset`.
+        As of :func:`..formats.load.load_asset`.
     """
     asset = load_asset(path)
     materials = list({id(part.material): part.material for part in asset.parts}.values())
