@@ -199,12 +199,12 @@ def displacement(args) -> None:
     """A displaced base mesh against normal maps alone, as `evaluate` judges."""
     from mi_simplify.judging.evaluate import Judging, compare_assets
 
-    common = [f"asset={args.asset}", f"optimizer.steps={args.steps}", "initial.atlas_size=1024", *args.set]
-    few = [*common, "initial.triangles=1000"]
+    common = [f"asset={args.asset}", f"optimizer.steps={args.steps}", "initial.atlas_size=1024"]
+    few = [*common, "initial.triangles=1000", *args.set]
     split = [*few, "initial.subdivisions=3"]
     shape = "latent.optimize=[vertices,displacement]"
     runs = {
-        "normal map, 3,000 triangles": [*common, "initial.triangles=3000"],
+        "normal map, 3,000 triangles": [*common, "initial.triangles=3000", *args.set],
         "normal map, 1,000 triangles": few,
         "displacement, 1,000 to 64,000": split,
         "displacement and normal map": split,
