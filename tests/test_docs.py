@@ -60,10 +60,14 @@ def workplace(finished, tmp_path, monkeypatch) -> Path:
     (tmp_path / "model.obj").rename("my_lowpoly.obj")
     (tmp_path / "model.glb").rename("other.glb")
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")
+    (tmp_path / "models").mkdir()
+    shutil.copy("statue.obj", "models")
     for page in PAGES:
         for block in blocks(page, "yaml"):
             if block.startswith("asset: statue.obj"):
                 (tmp_path / "statue.yaml").write_text(block)
+            if block.startswith("defaults:"):
+                (tmp_path / "library.yaml").write_text(block)
         for block in blocks(page, "python"):
             if block.startswith(("# mushroom.py", "# mine.py")):
                 (tmp_path / block.split()[1]).write_text(block)
@@ -82,7 +86,7 @@ def run(line: str) -> int:
     argv = shlex.split(line)[1:]
     if argv[0] == "simplify":
         argv = ["300" if before == "--triangles" else text for before, text in zip(["", *argv], argv, strict=False)]
-    if argv[0] in ("simplify", "run", "lod"):
+    if argv[0] in ("simplify", "run", "lod", "batch"):
         argv += [x for setting in SHORT for x in ("--set", setting)]
     if argv[0] in ("evaluate", "compare"):
         argv += ["--views", "1", "--resolution", "32", "--spp", "4"]

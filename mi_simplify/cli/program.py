@@ -13,6 +13,7 @@ import click
 from .. import __version__
 from ..errors import Defect, UserError
 from .about import config_schema, doctor, version
+from .batching import batch
 from .judging import compare, evaluate, inspect, render, report
 from .making import bake, forest, lod, run, simplify
 
@@ -26,20 +27,8 @@ def cli() -> None:
 
 
 for _command in (
-    simplify,
-    run,
-    lod,
-    bake,
-    forest,
-    evaluate,
-    compare,
-    report,
-    render,
-    inspect,
-    doctor,
-    version,
-    config_schema,
-):
+    simplify, run, lod, bake, forest, batch, evaluate, compare, report, render, inspect, doctor, version, config_schema,
+):  # fmt: skip
     cli.add_command(_command)
 
 

@@ -46,7 +46,7 @@ def write_atomic(path: str | Path, write: bytes | str | Callable[[Path], None]) 
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        raise _output_error(path, error) from error
+        raise output_error(path, error) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -66,7 +66,7 @@ def make_folder(path: str | Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _output_error(path, error) from error
+        raise output_error(path, error) from error
     return path
 
 
@@ -77,7 +77,9 @@ def side_file_stem(path: str | Path) -> str:
     return re.sub(r"[^\w.-]+", "_", Path(path).stem) or "model"
 
 
-def _output_error(path: Path, error: OSError) -> OutputError:
-    """One clear line for what the system says."""
+def output_error(path: Path, error: OSError) -> OutputError:
+    """
+    One clear line for what the system says about a file that could not be written.
+    """
     what = error.strerror or str(error) or type(error).__name__
     return OutputError(f"cannot write {path}: {what}; choose another output folder or free this one")

@@ -35,7 +35,7 @@ def measured(renderer: Batched, names: tuple[str, ...], **options) -> list:
     )
 
 
-@pytest.mark.parametrize("layers", [1, 2, 8])
+@pytest.mark.parametrize("layers", [1, 2, pytest.param(8, marks=pytest.mark.slow)])
 def test_gradients_of_cards(layers):
     pairs = measured(cards(layers=layers), _WANTED)
     assert len(pairs) == len(_WANTED)

@@ -30,7 +30,7 @@ def renderer(name: str, mips: str) -> Batched:
     return Batched(dataclasses.replace(scenes.scene(name), n_texels=256), mips=mips)
 
 
-@pytest.mark.parametrize("name", _FEW)
+@pytest.mark.parametrize("name", ["cube", pytest.param("smooth, seams", marks=pytest.mark.slow)])
 def test_through_derived_levels(name):
     batched = renderer(name, "derived")
     wanted = [p for p in parameters(batched.scene, batched.start) if p.name in _FEW[name]]

@@ -44,8 +44,6 @@ def _check(renderer: Plugin, scene: Scene, names: tuple[str, ...], **options) ->
     "name, rfilter, names",
     [
         ("cube", "box", ("translation x", "texels normal")),
-        ("open sheet", "box", ("translation x", "texels roughness")),
-        ("cut by the border", "gaussian", ("translation y", "camera position")),
         ("hides itself", "gaussian", ("translation y", "light position")),
     ],
 )
