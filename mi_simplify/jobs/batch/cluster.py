@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import logging
 import os
+import re
+import socket
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -55,6 +57,8 @@ class Cluster:
         if self._address is None:
             cpus = self._jobs or os.cpu_count() or 1
             options |= {"num_cpus": cpus, "include_dashboard": False}
+        else:
+            _require_answer(self._address)
         try:
             self._ray.init(self._address, **options)
         except (ConnectionError, ValueError, RuntimeError) as error:
@@ -132,3 +136,18 @@ class Cluster:
     def _largest_memory(self) -> int:
         """Of the largest node, as Ray counts it [bytes]; 0 where it does not tell."""
         return int(max((node["Resources"].get("memory", 0) for node in self._ray.nodes() if node["Alive"]), default=0))
+
+
+def _require_answer(address: str) -> None:
+    """Ray itself would try for minutes before it gives up."""
+    found = re.fullmatch(r"(?:ray://)?([^:/]+):(\d+)", address)
+    if found is None:
+        if address not in ("auto", "local"):
+            raise RuntimeUnavailable(f"'{address}' is no address of a Ray cluster; write it as HOST:PORT, or 'auto'")
+        return
+    try:
+        socket.create_connection((found[1], int(found[2])), timeout=10).close()
+    except OSError as error:
+        raise RuntimeUnavailable(
+            f"no Ray cluster could be used at {address}: {error.strerror or error}; start one with 'ray start --head'"
+        ) from None
