@@ -205,9 +205,8 @@ def _textured(
         mesh = tessellated(model).mesh
         split = 4**settings.subdivisions
         notes.append(f"{len(model.mesh.faces)} triangles of a base mesh are split in {split} and displaced")
-    grouping = grouped(asset, model.mesh)
-    model = replace(model, groups=grouping.groups)
     if settings.textures == "bake":
+        grouping = grouped(asset, model.mesh)
         baked = bake(
             asset, mesh, size=size * oversample, samples=_SAMPLES if oversample == 1 else 1,
             grouping=grouping.split(settings.subdivisions),

@@ -1,5 +1,7 @@
 """USD: interpolations, orientation, subsets, preview surfaces, instances, skeletons, packages."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
@@ -281,9 +283,9 @@ def test_what_is_left_out_is_noted(stage):
     material = UsdShade.Material.Define(stage, "/World/Other")
     UsdShade.MaterialBindingAPI.Apply(holes.GetPrim()).Bind(material)
     asset = load_asset(save(stage))
-    assert asset.n_triangles == 3 and len(asset.parts) == 2
+    assert asset.n_triangles == 2 * 16 + 1 and len(asset.parts) == 2
     notes = " | ".join(asset.notes)
-    assert "'Quad' is a catmullClark surface; its control cage is used without subdivision" in notes
+    assert "'Quad', a catmullClark surface, is subdivided 2 times" in notes
     assert "'/World/Ball' was left out: a BasisCurves is no mesh" in notes
     assert "'/World/Proxy' was left out" in notes
     assert "material 'Other' has no UsdPreviewSurface" in notes
@@ -314,6 +316,82 @@ def test_broken_meshes(stage, changes, message):
     quad(stage, **changes)
     with pytest.raises(MeshError, match=message):
         load_asset(save(stage))
+
+
+def test_one_odd_prim_does_not_spoil_the_file(stage):
+    quad(stage)
+    quad(stage, "/World/Broken", indices=(0, 1, 2, 9))
+    path = Path(save(stage))
+    odd = 'string points = "none"\n    int[] faceVertexCounts = [3]\n    int[] faceVertexIndices = [0, 1, 2]'
+    path, text = path.with_name("odd.usda"), path.read_text()
+    path.write_text(text + f'\ndef Mesh "Odd"\n{{\n    {odd}\n}}\n')
+    asset = load_asset(path)
+    assert [part.name for part in asset.parts] == ["Quad"] and len(asset.instances) == 1
+    left_out = [note for note in asset.notes if "was left out, it cannot be read" in note]
+    assert [note.split("'")[1] for note in left_out] == ["/World/Broken", "/Odd"]
+    assert "refers to vertex 9, but there are 4" in left_out[0]
+
+
+def materialx(stage, mesh, kind, path="/World/X", images=(), **inputs) -> UsdShade.Material:
+    """Bind a surface of MaterialX; ``images`` are (input, file, type of the node)."""
+    material = UsdShade.Material.Define(stage, path)
+    surface = UsdShade.Shader.Define(stage, f"{path}/surface")
+    surface.CreateIdAttr(f"ND_{kind}_surfaceshader")
+    material.CreateSurfaceOutput("mtlx").ConnectToSource(surface.ConnectableAPI(), "out")
+    for key, value in inputs.items():
+        kind_of = Sdf.ValueTypeNames.Color3f if isinstance(value, tuple) else Sdf.ValueTypeNames.Float
+        surface.CreateInput(key, kind_of).Set(value)
+    for key, file, node in images:
+        image = UsdShade.Shader.Define(stage, f"{path}/{key}")
+        image.CreateIdAttr(node)
+        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(file)
+        image.CreateInput("vaddressmode", Sdf.ValueTypeNames.String).Set("mirror")
+        surface.CreateInput(key, Sdf.ValueTypeNames.Color3f).ConnectToSource(image.ConnectableAPI(), "out")
+    UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
+    return material
+
+
+def test_standard_surface_has_its_constants_and_images(stage, tmp_path):
+    (tmp_path / "image.png").write_bytes(png(corner_pixels()))
+    mesh = quad(stage)
+    add_st(mesh)
+    materialx(
+        stage, mesh, "standard_surface", images=[("base_color", "image.png", "ND_image_color3")], base=0.5,
+        specular_roughness=0.25, metalness=1.0, emission=2.0, emission_color=(1.0, 0.5, 0.0), coat=0.5,
+    )  # fmt: skip
+    (part,) = load_asset(save(stage)).parts
+    material = part.material
+    np.testing.assert_allclose(material.base_color[0, 0], [0.5, 0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(material.specular, [[[0, 0.25, 1]]])
+    np.testing.assert_allclose(material.emission, [[[2, 1, 0]]])
+    assert material.lobes == {"KHR_materials_clearcoat": {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.1}} or (
+        material.lobes["KHR_materials_clearcoat"]["clearcoatRoughnessFactor"] == pytest.approx(0.1)
+    )
+    assert material.lookup("base_color").wraps == ("repeat", "mirror")
+
+
+def test_open_pbr_and_gltf_pbr(stage):
+    for name, kind, inputs in (
+        ("A", "open_pbr_surface", dict(base_color=(0.2, 0.4, 0.6), base_metalness=0.5, geometry_opacity=0.5)),
+        ("B", "gltf_pbr", dict(base_color=(0.2, 0.4, 0.6), metallic=0.5, alpha=0.5, roughness=0.3)),
+    ):
+        materialx(stage, quad(stage, f"/World/{name}"), kind, f"/World/X{name}", **inputs)
+    for part in load_asset(save(stage)).parts:
+        np.testing.assert_allclose(part.material.base_color, [[[0.2, 0.4, 0.6, 0.5]]], atol=1e-6)
+        np.testing.assert_allclose(part.material.specular, [[[0, 0.3, 0.5]]], atol=1e-6)
+        assert part.material.alpha_mode == "BLEND"
+
+
+def test_a_preview_surface_behind_materialx_is_the_material(stage):
+    mesh = quad(stage)
+    surface = paint(stage, mesh, diffuseColor=(1, 0, 0))
+    other = UsdShade.Shader.Define(stage, "/World/Paint/x")
+    other.CreateIdAttr("ND_standard_surface_surfaceshader")
+    material = UsdShade.Material(surface.GetPrim().GetParent())
+    material.CreateSurfaceOutput("mtlx").ConnectToSource(other.ConnectableAPI(), "out")
+    asset = load_asset(save(stage))
+    np.testing.assert_allclose(asset.parts[0].material.base_color, [[[1, 0, 0, 1]]])
+    assert asset.notes == ()
 
 
 @pytest.mark.parametrize(

@@ -4,18 +4,15 @@ USD materials: UsdPreviewSurface with its texture, primvar and transform nodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-from pxr import Ar, Sdf, Usd, UsdShade
+from pxr import Usd, UsdShade
 
-from ...errors import AssetError
 from ...model.asset import Material
 from ..images import constant, join_channels, opacity, rgb, to_float, unit_normals
 from ..mapping import Mapping, Mappings
 from ..resources import Resources
+from .materialx import is_known, read_materialx
+from .shaders import image_of, plain, source_of
 
 _DEFAULTS = {
     "diffuseColor": (0.18, 0.18, 0.18), "roughness": 0.5, "metallic": 0.0, "opacity": 1.0,
@@ -67,6 +64,9 @@ def read_usd_material(
     """
     name = material.GetPrim().GetName()
     shader = material.ComputeSurfaceSource()[0]
+    foreign = material.ComputeSurfaceSource("mtlx")[0]
+    if (not shader or shader.GetShaderId() != "UsdPreviewSurface") and is_known(foreign or shader):
+        return read_materialx(foreign or shader, name, resources)
     if not shader or shader.GetShaderId() != "UsdPreviewSurface":
         kind = f"'{shader.GetShaderId()}'" if shader else "none that this build of USD can read"
         resources.note(f"material '{name}' has no UsdPreviewSurface (its surface is {kind}); the default grey is used")
@@ -85,16 +85,16 @@ class _Reader:
         color = self._value("diffuseColor", color=True)
         alpha = self._value("opacity")
         roughness, metallic = self._value("roughness"), self._value("metallic")
-        if _plain(self.shader, "useSpecularWorkflow", 0):
+        if plain(self.shader, "useSpecularWorkflow", 0):
             self._note("specular workflow", "its specular colour was left out")
             metallic = constant(0)
-        threshold = float(_plain(self.shader, "opacityThreshold", 0.0))
+        threshold = float(plain(self.shader, "opacityThreshold", 0.0))
         mode = "MASK" if threshold > 0 else "BLEND" if alpha.size > 1 or alpha.max() < 1 else "OPAQUE"
         emission = np.maximum(self._value("emissiveColor", color=True), 0)
         occlusion = np.clip(self._value("occlusion"), 0, 1)
         for key, neutral in (("displacement", 0),):
-            source = _source(self.shader, key)
-            value = _plain(self.shader, key, neutral)
+            source = source_of(self.shader, key)
+            value = plain(self.shader, key, neutral)
             if source is not None or (value is not None and np.any(np.asarray(value, float) != neutral)):
                 self._note(key, "was left out")
         return Material(
@@ -114,21 +114,21 @@ class _Reader:
         """Clear coat and index of refraction by the names of glTF."""
         out: dict = {}
         coat = {"clearcoatFactor": "clearcoat", "clearcoatRoughnessFactor": "clearcoatRoughness"}
-        if any(_source(self.shader, key) for key in coat.values()):
+        if any(source_of(self.shader, key) for key in coat.values()):
             self._note("clearcoat", "comes from a texture, which was left out")
-        elif (strength := float(_plain(self.shader, "clearcoat", 0.0))) > 0:
-            roughness = float(_plain(self.shader, "clearcoatRoughness", 0.01))
+        elif (strength := float(plain(self.shader, "clearcoat", 0.0))) > 0:
+            roughness = float(plain(self.shader, "clearcoatRoughness", 0.01))
             out["KHR_materials_clearcoat"] = dict(zip(coat, (strength, roughness), strict=True))
             self._note("clearcoat", "is carried over, but not shown here")
-        if (ior := float(_plain(self.shader, "ior", 1.5))) != 1.5:
+        if (ior := float(plain(self.shader, "ior", 1.5))) != 1.5:
             out["KHR_materials_ior"] = {"ior": ior}
         return out
 
     def _value(self, key: str, color: bool = False) -> np.ndarray:
         """An input as a linear image, shape (H, W, 3) for colours, else (H, W, 1)."""
-        source = _source(self.shader, key)
+        source = source_of(self.shader, key)
         if source is None:
-            return constant(*np.atleast_1d(np.asarray(_plain(self.shader, key, _DEFAULTS[key]), np.float32)))
+            return constant(*np.atleast_1d(np.asarray(plain(self.shader, key, _DEFAULTS[key]), np.float32)))
         shader, output = source
         kind = shader.GetShaderId()
         if kind == "UsdUVTexture":
@@ -138,20 +138,20 @@ class _Reader:
             channels = found[..., _CHANNELS.get(output, [0])]
             return rgb(channels) if color else channels[..., :1]
         if kind in ("UsdPrimvarReader_float3", "UsdPrimvarReader_float4", "UsdPrimvarReader_vector") and color:
-            self.color_primvar = str(_plain(shader, "varname", "displayColor"))
+            self.color_primvar = str(plain(shader, "varname", "displayColor"))
             return constant(1, 1, 1)
         self._note(key, f"comes from '{kind}', which is not supported; its default is used")
         return constant(*np.atleast_1d(np.array(_DEFAULTS[key], np.float32)))
 
     def _normal(self) -> np.ndarray | None:
-        source = _source(self.shader, "normal")
+        source = source_of(self.shader, "normal")
         if source is None:
             return None
         shader, _ = source
         if shader.GetShaderId() != "UsdUVTexture":
             self._note("normal", f"comes from '{shader.GetShaderId()}', which is not supported; it was left out")
             return None
-        unscaled = _plain(shader, "scale", None) is None and _plain(shader, "bias", None) is None
+        unscaled = plain(shader, "scale", None) is None and plain(shader, "bias", None) is None
         vectors = self._texture(shader, "normal", is_color=False)
         if vectors is None:
             return None
@@ -169,49 +169,33 @@ class _Reader:
         if not self.mappings.take(_TEXTURES[key], self._mapping(shader)):
             self._note(key, "was left out: its coordinates are not those of the texture that it is joined with")
             return None
-        pixels = self._pixels(shader, key)
-        space = str(_plain(shader, "sourceColorSpace", "auto"))
+        pixels = image_of(shader, key, self.name, self.resources)
+        space = str(plain(shader, "sourceColorSpace", "auto"))
         # 'auto' means sRGB for 8 bits and three channels; files that leave it on a data texture never mean that.
         srgb = space == "sRGB" or (space == "auto" and is_color and pixels.dtype == np.uint8 and pixels.shape[2] >= 3)
         values = to_float(pixels, srgb=srgb)
         alpha = opacity(values)
         values = join_channels(rgb(values), constant(1) if alpha is None else alpha)
-        scale, bias = _plain(shader, "scale", (1, 1, 1, 1)), _plain(shader, "bias", (0, 0, 0, 0))
+        scale, bias = plain(shader, "scale", (1, 1, 1, 1)), plain(shader, "bias", (0, 0, 0, 0))
         if tuple(scale) != (1, 1, 1, 1) or tuple(bias) != (0, 0, 0, 0):
             values = values * np.array(tuple(scale), np.float32) + np.array(tuple(bias), np.float32)
         return values
 
-    def _pixels(self, shader: UsdShade.Shader, key: str) -> np.ndarray:
-        asset = _plain(shader, "file", None)
-        model = self.resources.model.name
-        if not isinstance(asset, Sdf.AssetPath) or not asset.path:
-            raise AssetError(f"{model}: the texture of '{key}' of material '{self.name}' names no file")
-        if "<UDIM>" in asset.path:
-            raise AssetError(f"{model}: texture '{asset.path}' is a set of UDIM tiles; merge them into one image first")
-        resolved = asset.resolvedPath
-        opened = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(resolved)) if resolved else None
-        if not opened:
-            raise AssetError(f"{model}: texture '{asset.path}' does not exist; put it where the file looks for it")
-        if not self.resources.holds(Path(Ar.SplitPackageRelativePathOuter(resolved)[0])):
-            raise self.resources.outside(asset.path, "texture")
-        with opened:
-            return self.resources.embedded_image(("usd", resolved), _reader_of(opened), asset.path)
-
     def _mapping(self, shader: UsdShade.Shader) -> Mapping:
         transform = None
-        source = _source(shader, "st")
+        source = source_of(shader, "st")
         while source is not None and source[0].GetShaderId() == "UsdTransform2d":
             node = source[0]
-            angle = np.radians(float(_plain(node, "rotation", 0.0)))
-            (su, sv), (tu, tv) = _plain(node, "scale", (1, 1)), _plain(node, "translation", (0, 0))
+            angle = np.radians(float(plain(node, "rotation", 0.0)))
+            (su, sv), (tu, tv) = plain(node, "scale", (1, 1)), plain(node, "translation", (0, 0))
             c, s = np.cos(angle), np.sin(angle)
             step = np.array([[c * su, -s * sv, tu], [s * su, c * sv, tv], [0, 0, 1]])
             # The node nearest to the texture acts last.
             transform = step if transform is None else transform @ step
-            source = _source(node, "in")
+            source = source_of(node, "in")
         varname = "st"
         if source is not None and source[0].GetShaderId() == "UsdPrimvarReader_float2":
-            varname = str(_plain(source[0], "varname", "st"))
+            varname = str(plain(source[0], "varname", "st"))
         wraps = _wrap(shader, "wrapS"), _wrap(shader, "wrapT")
         return Mapping(varname, None if transform is None else transform[:2], wraps)
 
@@ -219,35 +203,9 @@ class _Reader:
         self.resources.note(f"'{what}' of material '{self.name}' {line}")
 
 
-def _reader_of(opened: Any) -> Callable[[], bytes]:
-    return lambda: bytes(opened.GetBuffer())
-
-
 def _wrap(shader: UsdShade.Shader, key: str) -> str:
-    found = str(_plain(shader, key, "repeat"))
+    found = str(plain(shader, key, "repeat"))
     return {"black": "clamp"}.get(found, found) if found in ("mirror", "clamp", "black") else "repeat"
-
-
-def _attributes(shader: UsdShade.Shader, key: str) -> list:
-    found = shader.GetInput(key)
-    return found.GetValueProducingAttributes() if found else []
-
-
-def _source(shader: UsdShade.Shader, key: str) -> tuple[UsdShade.Shader, str] | None:
-    """The node and output that feed an input, through any node graphs; None for a plain value."""
-    for attribute in _attributes(shader, key):
-        if UsdShade.Output.IsOutput(attribute):
-            return UsdShade.Shader(attribute.GetPrim()), UsdShade.Output(attribute).GetBaseName()
-    return None
-
-
-def _plain(shader: UsdShade.Shader, key: str, default: object) -> Any:
-    """The value of an input that no node feeds, or the default."""
-    for attribute in _attributes(shader, key):
-        if not UsdShade.Output.IsOutput(attribute):
-            value = attribute.Get()
-            return default if value is None else value
-    return default
 
 
 def display_material(color: np.ndarray | None, alpha: np.ndarray | None) -> Material:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdShade, UsdSkel
+from scipy.sparse import csr_array
 
 from ...errors import MeshError
 from ...machine import memory
@@ -21,7 +22,14 @@ from ..validate import check_indices
 from .material import bound_material, display_material, material_path, read_usd_material
 from .primitives import primitive_mesh
 from .skeleton import Skeletons
+from .subdivide import Cage, refined
 from .values import TIME, array
+
+#: Schemes that smooth.
+_SCHEMES = ("catmullClark", "loop")
+
+#: How often a surface is subdivided, and how many faces that may make of one mesh.
+_TIMES, _MOST_FACES = 2, 200_000
 
 _UV_NAMES = ("st", "st0", "st_0", "UVMap", "uv", "uvs", "map1", "UVW", "Texture_uv")
 
@@ -66,10 +74,14 @@ class Meshes:
             )
         memory.require(PER_CORNER * len(index), f"{model}: '{name}' of {len(index):,} corners", FEWER_INSTANCES)
         check_indices(index, len(points), model, name)
-        if mesh.GetSubdivisionSchemeAttr().Get() not in (None, "none"):
-            scheme = mesh.GetSubdivisionSchemeAttr().Get()
-            self.resources.note(f"'{name}' is a {scheme} surface; its control cage is used without subdivision")
+        reader = _Corners(prim, index, np.repeat(np.arange(len(counts)), counts), len(points), self.resources)
+        n_faces, face = len(counts), np.arange(len(counts))
+        times = self._subdivisions(mesh, name, len(counts), query is not None)
+        if times:
+            cage, face, reader.weights = refined(_cage(mesh, points, index, counts), scheme_of(mesh), times)
+            points, index, counts = cage.points, cage.index, cage.counts
         corners, polygon = triangulate(points, index, counts, model)
+        polygon = face[polygon]
         holes = array(mesh.GetHoleIndicesAttr().Get(TIME), np.int64)
         if len(holes):
             keep = ~np.isin(polygon, holes)
@@ -77,16 +89,39 @@ class Meshes:
         if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
             corners = corners[:, ::-1]
 
-        owner, materials = self._owners(prim, len(counts))
+        owner, materials = self._owners(prim, n_faces)
         groups = [(m, corners[owner[polygon] == k]) for k, m in enumerate(materials)]
         groups = [(m, c) for m, c in groups if len(c)]
-        reader = _Corners(prim, index, np.repeat(np.arange(len(counts)), counts), len(points), self.resources)
         normals = reader.normals(mesh)
         if normals is None and len(groups) > 1:
             normals = smooth_normals(points, index[corners]), index
         skin = None if query is None else self._skeletons.skin(prim, query, points)
         parts = [self._part(name, m, c, points, index, normals, reader, skin) for m, c in groups]
         return parts if len(parts) == 1 else [replace(p, name=f"{name}_{k}") for k, p in enumerate(parts)]
+
+    def _subdivisions(self, mesh: UsdGeom.Mesh, name: str, n_faces: int, is_skinned: bool) -> int:
+        """How often the faces of a mesh are split, with a line on it."""
+        scheme, note = scheme_of(mesh), self.resources.note
+        if scheme not in _SCHEMES:
+            return 0
+        counts = array(mesh.GetFaceVertexCountsAttr().Get(TIME), np.int64)
+        reason = None
+        if not mesh.GetSubdivisionSchemeAttr().HasAuthoredValue():
+            reason = "is one by default only"
+        elif mesh.GetNormalsAttr().HasAuthoredValue():
+            reason = "has normals of its own"
+        elif is_skinned:
+            reason = "is skinned"
+        elif counts.min() < 3 or (scheme == "loop" and counts.max() > 3):
+            reason = "has faces that its scheme cannot split"
+        if reason is not None:
+            note(f"'{name}', a {scheme} surface, {reason}; its control cage is used without subdivision")
+            return 0
+        times = _TIMES
+        while times and n_faces * 4**times > _MOST_FACES:
+            times -= 1
+        note(f"'{name}', a {scheme} surface, is subdivided {times} times")
+        return times
 
     def _solid(self, prim: Usd.Prim, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Part:
         """A sphere, cube, … of one colour: it has no texture coordinates."""
@@ -159,6 +194,36 @@ def _from_the_top(uvs: np.ndarray | None) -> np.ndarray | None:
     return None if uvs is None else np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1)
 
 
+def scheme_of(mesh: UsdGeom.Mesh) -> str:
+    """
+    'none', 'bilinear', 'catmullClark' or 'loop'.
+    """
+    return str(mesh.GetSubdivisionSchemeAttr().Get() or "none")
+
+
+def _cage(mesh: UsdGeom.Mesh, points: np.ndarray, index: np.ndarray, counts: np.ndarray) -> Cage:
+    """The mesh with its creases and corners; what of them makes no sense is as if it were not there."""
+    lengths = array(mesh.GetCreaseLengthsAttr().Get(TIME), np.int64)
+    chain = array(mesh.GetCreaseIndicesAttr().Get(TIME), np.int64)
+    sharp = array(mesh.GetCreaseSharpnessesAttr().Get(TIME), np.float64)
+    ends = np.zeros((0, 2), np.int64)
+    if len(lengths) and lengths.min() >= 2 and lengths.sum() == len(chain):
+        run = np.repeat(np.arange(len(lengths)), lengths)
+        inside = np.flatnonzero(run[1:] == run[:-1])
+        ends = np.stack([chain[inside], chain[inside + 1]], axis=1)
+        sharp = sharp if len(sharp) == len(ends) else sharp[run[inside]] if len(sharp) == len(lengths) else sharp[:0]
+    good = np.zeros(len(ends), bool)
+    if len(ends) == len(sharp):
+        good |= ((ends >= 0) & (ends < len(points))).all(axis=1)
+    pinned = array(mesh.GetCornerIndicesAttr().Get(TIME), np.int64)
+    strength = array(mesh.GetCornerSharpnessesAttr().Get(TIME), np.float64)
+    corners = np.zeros(len(points))
+    if len(pinned) == len(strength):
+        known = (pinned >= 0) & (pinned < len(points))
+        corners[pinned[known]] = strength[known]
+    return Cage(points, index, counts, ends[good], sharp[: len(good)][good], corners)
+
+
 class _Corners:
     """
     Primvars of a mesh as pairs: values, shape (N, C), and a row of them for every corner, shape (corners,).
@@ -167,6 +232,8 @@ class _Corners:
     def __init__(self, prim: Usd.Prim, index: np.ndarray, polygon: np.ndarray, n_points: int, resources: Resources):
         self.prim, self.index, self.polygon, self.n_points = prim, index, polygon, n_points
         self.resources = resources
+        self.weights: csr_array | None = None
+        """What takes values at the corners to those of the subdivided mesh."""
 
     def primvar(self, name: str, width: int) -> tuple[np.ndarray, np.ndarray] | None:
         """A primvar of the mesh or inherited from above it."""
@@ -175,10 +242,17 @@ class _Corners:
             return None
         values = array(primvar.Get(TIME), np.float64, width)
         indices = array(primvar.GetIndices(TIME), np.int64) if primvar.IsIndexed() else None
-        return self._rows(name, values, primvar.GetInterpolation(), indices)
+        return self._refined(self._rows(name, values, primvar.GetInterpolation(), indices))
+
+    def _refined(self, found: tuple[np.ndarray, np.ndarray] | None) -> tuple[np.ndarray, np.ndarray] | None:
+        if found is None or self.weights is None:
+            return found
+        return unique_rows(self.weights @ found[0][found[1]])
 
     def normals(self, mesh: UsdGeom.Mesh) -> tuple[np.ndarray, np.ndarray] | None:
-        """``primvars:normals``, else ``normals``."""
+        """``primvars:normals``, else ``normals``; a subdivided surface has its own."""
+        if self.weights is not None:
+            return None
         found = self.primvar("normals", 3)
         attribute = mesh.GetNormalsAttr()
         if found is not None or not attribute.HasValue():

@@ -7,13 +7,14 @@ USD speaks row vectors, has its texture origin at the bottom left, and may be Z-
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdUtils
 
-from ...errors import AssetError
+from ...errors import AssetError, MemoryLimitError, MeshError
 from ...machine import memory
 from ...model.asset import FEWER_INSTANCES, PER_INSTANCE, Asset, Instance, Part
 from ...model.light.emission import ambient_of, without_ambient
@@ -36,8 +37,8 @@ def read_usd(path: Path) -> Asset:
     Read the meshes of a stage at its earliest time; the unit of length stays what it is.
 
     Instances (scenegraph and point instancers) share parts. Skinned meshes stand in their bind pose, and the asset has
-    a rig; subdivision surfaces are taken as their control cage. Warnings of the library become notes instead of lines
-    on the screen.
+    a rig. A prim that cannot be read is left out with a note; where nothing else is there, its error stands. Warnings
+    of the library become notes instead of lines on the screen.
 
     Raises
     ------
@@ -89,9 +90,12 @@ class _Stage:
         self._carriers: list[Usd.Prim | None] = []
         """Of each instance, the prim whose transform it follows; None where it has a skin."""
         self._of_mesh: dict[tuple, list[int]] = {}
+        self._failed: Exception | None = None
 
     def read(self) -> Asset:
         self._collect(self.stage.GetPseudoRoot(), self.up)
+        if self._failed is not None and not self.instances:
+            raise self._failed
         if all(part.skin is None for part in self.parts):
             return self._finished(Asset(tuple(self.parts), tuple(self.instances)))
         rig, new, joints = self._skeletons.rig([c for c in self._carriers if c is not None])
@@ -121,11 +125,37 @@ class _Stage:
                 self.resources.note(f"'{prim.GetPath()}' was left out: its purpose is not to be rendered")
             elif prim.IsA(UsdGeom.PointInstancer):
                 prims.PruneChildren()
-                self._point_instances(UsdGeom.PointInstancer(prim), to_world, depth)
+                self._tried(self._point_instances, prim, to_world, depth)
             elif prim.IsA(UsdGeom.Mesh) or prim.GetTypeName() in TYPES:
-                self._place(prim, to_world, depth)
+                self._tried(self._place, prim, to_world, depth)
             elif prim.IsA(UsdGeom.Gprim):
                 self.resources.note(f"'{prim.GetPath()}' was left out: a {prim.GetTypeName()} is no mesh")
+
+    def _tried(
+        self, read: Callable[[Usd.Prim, np.ndarray, int], None], prim: Usd.Prim, to_world: np.ndarray, depth: int
+    ) -> None:
+        """One prim, which must not spoil the others."""
+        n_parts, n_instances, n_carriers = len(self.parts), len(self.instances), len(self._carriers)
+        try:
+            read(prim, to_world, depth)
+        except (AssetError, MemoryLimitError):
+            raise
+        except (MeshError, Tf.ErrorException, TypeError, ValueError, IndexError, OverflowError) as error:
+            del self.parts[n_parts:], self.instances[n_instances:], self._carriers[n_carriers:]
+            if isinstance(error, Tf.ErrorException):
+                reason = reason_of(error)
+            else:
+                reason = str(error).removeprefix(f"{self.resources.model.name}: ")
+            self.resources.note(f"'{prim.GetPath()}' was left out, it cannot be read: {reason}")
+            if self._failed is None:
+                known = isinstance(error, (MeshError, Tf.ErrorException))
+                self._failed = (
+                    error
+                    if known
+                    else MeshError(
+                        f"{self.resources.model.name}: '{prim.GetPath()}' cannot be read: {reason}; export it again"
+                    )
+                )
 
     def _world(self, prim: Usd.Prim) -> np.ndarray:
         return matrix(self._xforms.GetLocalToWorldTransform(prim))
@@ -150,8 +180,8 @@ class _Stage:
         self.parts += parts
         return list(range(len(self.parts) - len(parts), len(self.parts)))
 
-    def _point_instances(self, instancer: UsdGeom.PointInstancer, to_world: np.ndarray, depth: int) -> None:
-        name = instancer.GetPrim().GetName()
+    def _point_instances(self, prim: Usd.Prim, to_world: np.ndarray, depth: int) -> None:
+        instancer, name = UsdGeom.PointInstancer(prim), prim.GetName()
         if depth > 8:
             raise AssetError(f"{self.resources.model.name}: point instancers are nested deeper than 8 at '{name}'")
         targets = instancer.GetPrototypesRel().GetForwardedTargets()
