@@ -65,8 +65,9 @@ class Rig:
         How the file numbers these frames (USD: time codes), rising.
     rate : float
         Codes a second.
-    clip_name : str
-        Name of the clip.
+    clips : tuple of (str, int, int)
+        What the frames are of, where they are several animations one after the other, or one with a name: its name, its
+        first frame, and the one after its last.
     """
 
     names: tuple[str, ...]
@@ -75,7 +76,7 @@ class Rig:
     poses: np.ndarray
     codes: np.ndarray
     rate: float = 24.0
-    clip_name: str = "clip"
+    clips: tuple[tuple[str, int, int], ...] = ()
 
     @property
     def n_frames(self) -> int:
@@ -120,7 +121,11 @@ class Rig:
         """
         The same skeleton with these frames alone.
         """
-        return replace(self, poses=self.poses[frames], codes=self.codes[frames])
+        kept = np.zeros(self.n_frames, bool)
+        kept[frames] = True
+        before = np.concatenate([[0], np.cumsum(kept)])
+        clips = tuple((name, int(before[first]), int(before[last])) for name, first, last in self.clips)
+        return replace(self, poses=self.poses[frames], codes=self.codes[frames], clips=clips)
 
 
 def deform(vertices: np.ndarray, skin: Skin, matrices: np.ndarray) -> np.ndarray:

@@ -97,7 +97,8 @@ class Checkpoint:
             model["displacement"] = Displacement(**{**given, "fitted": tuple(given["fitted"])})
         if model["skin"] is not None:
             skin = model["skin"]
-            rig = Rig(**{**skin["rig"], "names": tuple(skin["rig"]["names"])})
+            clips = tuple((name, first, last) for name, first, last in skin["rig"]["clips"])
+            rig = Rig(**{**skin["rig"], "names": tuple(skin["rig"]["names"]), "clips": clips})
             model["skin"] = Rigging(**{**skin, "rig": rig})
         if model["vertex_sets"] is not None:
             sets = model["vertex_sets"]

@@ -61,7 +61,8 @@ def inventory(path: str | Path) -> dict[str, Any]:
     }
     if asset.rig is not None:
         rig = asset.rig
-        frames = {"name": rig.clip_name, "frames": rig.n_frames, "seconds": round(float(rig.times[-1]), 6)}
+        clips = [name for name, _, _ in rig.clips]
+        frames = {"clips": clips, "frames": rig.n_frames, "seconds": round(float(rig.times[-1]), 6)}
         out["animation"] = {"joints": len(rig.names), **frames}
     return out | {"baked": _baked(asset, materials), "kept": _kept(asset, materials), "left_out": list(asset.notes)}
 
@@ -130,5 +131,5 @@ def _kept(asset: Asset, materials: list[Material]) -> list[str]:
     if not all(m.double_sided for m in materials):
         out.append("backs that are not shown")
     if asset.rig is not None:
-        out.append(f"skeleton and clip '{asset.rig.clip_name}'")
+        out += [f"skeleton of {len(asset.rig.names)} joints", *(f"clip '{name}'" for name, _, _ in asset.rig.clips)]
     return [*out, *(f"{key} of the file" for key in asset.metadata)]

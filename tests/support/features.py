@@ -141,7 +141,7 @@ FEATURES: dict[str, tuple[Callable[[Draft], None], str]] = {
     "copyright, extras": (lambda d: d.glb.json["asset"].update(copyright="me", extras={"a": 1}), "carried"),
     "instances": (_instances, "read"),
     "morph targets": (_morph, "left out"),
-    "animated nodes": (_animation, "left out"),
+    "animated nodes": (_animation, "carried"),
     "material variants": (_variants, "left out"),
     "lights": (_lights, "left out"),
     "cameras": (_camera, "left out"),

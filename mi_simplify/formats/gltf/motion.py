@@ -19,32 +19,80 @@ RATE = 24.0
 
 class Motion:
     """
-    The first animation of a file: local transforms of nodes over time.
+    The animations of a file, one after the other: transforms of nodes over time.
 
     Parameters
     ----------
     file : GltfFile
     parents : dict of int to int
         Node above each node of the scene, -1 for none.
+
+    Attributes
+    ----------
+    times : ndarray, shape (T,)
+        Seconds of the frames; each animation begins a frame after the end of the one before.
+    clips : tuple of (str, int, int)
+        Of each animation its name, its first frame, and the one after its last.
     """
 
     def __init__(self, file: GltfFile, parents: dict[int, int]):
-        self.file, self.parents = file, parents
-        self._curves: dict[tuple[int, str], tuple[np.ndarray, np.ndarray, str]] = {}
-        animations = file.json.get("animations") or []
-        self.clip = str((animations[0].get("name") if animations else None) or "clip")
-        if len(animations) > 1:
-            name = animations[0].get("name") or "the first"
-            file.resources.note(f"of {len(animations)} animations '{name}' was taken; the others were left out")
-        for channel in (animations[0].get("channels") or []) if animations else ():
-            self._add(channel, animations[0]["samplers"])
-        if not self._curves:
-            file.resources.note("the skeleton has no animation; its one frame is the pose at rest")
+        self._file, self.parents = file, parents
+        found = [_Clip(file, parents, animation) for animation in file.json.get("animations") or []]
+        self._clips = [clip for clip in found if clip.curves]
+        times: list[np.ndarray] = []
+        clips: list[tuple[str, int, int]] = []
+        n = 0
+        for k, clip in enumerate(self._clips):
+            shift = times[-1][-1] + 1 / RATE - clip.times[0] if times else 0.0
+            clips.append((clip.name or f"clip {k}", n, n + len(clip.times)))
+            times.append(clip.times + shift)
+            n += len(clip.times)
+        self.times: np.ndarray = np.concatenate(times) if times else np.zeros(1)
+        self.clips = tuple(clips)
+
+    def moves(self, node: int) -> bool:
+        """
+        Whether a node or one above it is animated.
+        """
+        while node >= 0:
+            if any((node, path) in clip.curves for clip in self._clips for path in _WIDTHS):
+                return True
+            node = self.parents[node]
+        return False
+
+    def world(self, nodes: Iterable[int]) -> dict[int, np.ndarray]:
+        """
+        Transforms of nodes, and of those above them, in every frame, shape (T, 4, 4) each.
+        """
+        needed = set()
+        for node in nodes:
+            while node >= 0 and node not in needed:
+                needed.add(node)
+                node = self.parents[node]
+        if not self._clips:
+            return self._still(needed)
+        parts = [clip.world(needed) for clip in self._clips]
+        return {node: np.concatenate([part[node] for part in parts]) for node in parts[0]}
+
+    def _still(self, needed: set[int]) -> dict[int, np.ndarray]:
+        return _Clip(self._file, self.parents, {}).world(needed)
+
+
+class _Clip:
+    """One animation: local transforms of nodes over time."""
+
+    def __init__(self, file: GltfFile, parents: dict[int, int], animation: dict):
+        self.file, self.parents, self.name = file, parents, animation.get("name")
+        self.curves: dict[tuple[int, str], tuple[np.ndarray, np.ndarray, str]] = {}
+        for channel in animation.get("channels") or []:
+            self._add(channel, animation["samplers"])
         self.times = self._times()
 
     def _add(self, channel: dict, samplers: list[dict]) -> None:
         target, sampler = channel.get("target") or {}, samplers[channel["sampler"]]
         node, path = target.get("node"), target.get("path")
+        if path == "weights":
+            self.file.resources.note("the animation of morph weights was left out")
         if node not in self.parents or path not in _WIDTHS:
             return
         times = self.file.accessor(sampler["input"]).astype(np.float64).reshape(-1)
@@ -56,13 +104,13 @@ class Motion:
             raise AssetError(f"{self.file.name}: an animation has {found}; export it again")
         if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) >= 0).all()):
             raise AssetError(f"{self.file.name}: the animation is not finite or runs backwards; export it again")
-        self._curves[node, path] = times, values, kind
+        self.curves[node, path] = times, values, kind
 
     def _times(self) -> np.ndarray:
         """Seconds of the frames: those of the keys, and more between keys that lie far apart."""
-        if not self._curves:
+        if not self.curves:
             return np.zeros(1)
-        keys = np.unique(np.concatenate([t for t, _, _ in self._curves.values()]))
+        keys = np.unique(np.concatenate([t for t, _, _ in self.curves.values()]))
         keys = keys[np.diff(keys, prepend=-np.inf) > _SAME_TIME]
         if len(keys) > 1 and np.diff(keys).max() > 1.5 / RATE and np.ptp(keys) * RATE <= MAX_FRAMES:
             keys = np.unique(np.concatenate([keys, np.arange(keys[0], keys[-1], 1 / RATE)]))
@@ -73,25 +121,8 @@ class Motion:
             keys = keys[::step]
         return keys
 
-    def moves(self, node: int) -> bool:
-        """
-        Whether a node or one above it is animated.
-        """
-        while node >= 0:
-            if any((node, path) in self._curves for path in _WIDTHS):
-                return True
-            node = self.parents[node]
-        return False
-
-    def world(self, nodes: Iterable[int]) -> dict[int, np.ndarray]:
-        """
-        Transforms of nodes, and of those above them, in every frame, shape (T, 4, 4) each.
-        """
-        needed: set[int] = set()
-        for node in nodes:
-            while node >= 0 and node not in needed:
-                needed.add(node)
-                node = self.parents[node]
+    def world(self, needed: set[int]) -> dict[int, np.ndarray]:
+        """Transforms of nodes, shape (T, 4, 4) each; what is above a node is among them."""
         out: dict[int, np.ndarray] = {-1: np.eye(4)}
         for node, parent in self.parents.items():
             if node in needed:
@@ -102,13 +133,13 @@ class Motion:
     def _local(self, index: int) -> np.ndarray:
         """A node's own transform in every frame, shape (T, 4, 4), or (1, 4, 4) where it does not move."""
         node = self.file.item("nodes", index)
-        if not any((index, path) in self._curves for path in _WIDTHS):
+        if not any((index, path) in self.curves for path in _WIDTHS):
             return local_matrix(node)[None]
         n = len(self.times)
         columns: list[np.ndarray | None] = []
         for path in _WIDTHS:
-            if (index, path) in self._curves:
-                columns.append(_sampled(*self._curves[index, path], self.times, path == "rotation"))
+            if (index, path) in self.curves:
+                columns.append(_sampled(*self.curves[index, path], self.times, path == "rotation"))
             else:
                 value = node.get(path)
                 columns.append(None if value is None else np.tile(np.array(value, np.float64), (n, 1)))

@@ -33,8 +33,8 @@ def read_gltf(path: Path) -> Asset:
     Read the default scene of a GLB or glTF file.
 
     A primitive placed by several nodes becomes one part with several instances. Skinned meshes stand in their bind
-    pose, and the asset has a rig. Morph targets are applied with their default weights; that they could move is left
-    out with a note, and so are animations of what has no skin.
+    pose, and the asset has a rig, of which nodes that are animated are joints, whether they have a skin or not. Morph
+    targets are applied with their default weights; that they could move is left out with a note.
 
     Raises
     ------
@@ -75,11 +75,12 @@ class _Scene:
                 for part in self._parts_of(node["mesh"], node.get("weights")):
                     self._place(part, to_world @ placement, name, index)
         self._note_left_out()
-        if all(part.skin is None for part in self.parts):
+        carriers = [c for c in self._carriers if c is not None]
+        if all(part.skin is None for part in self.parts) and not any(map(self._skeletons.motion.moves, carriers)):
             if self.file.json.get("animations"):
                 self.file.resources.note("animations were left out; the model stands as its nodes do")
             return self._finished(Asset(tuple(self.parts), tuple(self.instances)))
-        rig, new, joints = self._skeletons.rig([c for c in self._carriers if c is not None])
+        rig, new, joints = self._skeletons.rig(carriers)
         is_rigid = [c is not None for c in self._carriers]
         parts, instances = renumbered(self.parts, self.instances, is_rigid, new, joints)
         return self._finished(Asset(parts, instances, rig=rig))

@@ -64,8 +64,12 @@ def write_rig(
         "inverseBindMatrices": container.accessor(inverse.astype("<f4")),
     }  # fmt: skip
     more = {"nodes": nodes, "skins": [skin], "scenes": [{"nodes": [0, 1]}]}
-    animation = _animation(container, rigging.rig.clip_name, rigging.rig.times, curves, first)
-    return more | ({"animations": [animation]} if animation else {})
+    rig, animations = rigging.rig, []
+    for clip, start, stop in rig.clips or (("clip", 0, rig.n_frames),):
+        if stop > start:
+            own = {path: curve[start:stop] for path, curve in curves.items()}
+            animations.append(_animation(container, clip, rig.times[start:stop] - rig.times[start], own, first))
+    return more | some("animations", [animation for animation in animations if animation] or None)
 
 
 def _animation(

@@ -38,6 +38,7 @@ class Skeletons:
         self._nodes: list[int] = []
         self._binds: list[np.ndarray] = []
         self._skins: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self.motion = Motion(file, parents)
 
     def of(self, index: int, name: str) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -120,8 +121,9 @@ class Skeletons:
         joints : list of int
             That of each carrier.
         """
-        motion = Motion(self.file, self.parents)
-        n = len(motion.times)
+        motion, n = self.motion, len(self.motion.times)
+        if not motion.clips:
+            self.file.resources.note("the skeleton has no animation; its one frame is the pose at rest")
         what = f"{self.file.name}: {n} frames of {len(self._nodes)} joints"
         memory.require(512 * n * len(self.parents), what, "shorten the animation")
         nodes, binds, joints = list(self._nodes), list(self._binds), []
@@ -141,4 +143,4 @@ class Skeletons:
         parents = np.array([first[a] if a >= 0 else -1 for a in above])
         names = [STILL if j < 0 else self.file.item("nodes", j).get("name") or f"node_{j}" for j in nodes]
         rig, new = sorted_rig(names, parents, np.stack(binds), poses, motion.times * RATE, RATE, self.file.name)
-        return replace(rig, clip_name=motion.clip), new, [int(new[j]) for j in joints]
+        return replace(rig, clips=motion.clips), new, [int(new[j]) for j in joints]
