@@ -15,6 +15,7 @@ from mi_simplify.formats.obj.write import write_obj
 from mi_simplify.judging import switching
 
 ARGUMENTS = {
+    "batch --nothing 20 --out out": [],
     "characters sample:walker --triangles 300 --out out --set": [
         *SHORT,
         "animation.frames=0:4",
