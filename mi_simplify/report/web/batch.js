@@ -1,6 +1,6 @@
 "use strict";
 // The table of a batch: sorted by a column, filtered by a text.
-const body = document.querySelector("table.batch tbody");
+const body = document.querySelector(".batch tbody");
 const rows = [...body.rows];
 for (const row of rows) row.text = row.textContent.toLowerCase();
 
