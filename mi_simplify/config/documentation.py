@@ -51,7 +51,12 @@ def markdown() -> str:
         lines += rows
     for title, intro, sets in (
         ("Presets", "What each preset sets, everything else keeps its default.", PRESETS),
-        ("Starts", "What another `initial.kind`, images, or a character set, below the preset and the file.", STARTS),
+        (
+            "Starts",
+            "What another `initial.kind`, images, a character, or a path traced reference set, below the preset and the "
+            "file.",
+            STARTS,
+        ),
     ):
         lines += ["", f"## {title}", "", intro]
         for name, overrides in sets.items():

@@ -15,7 +15,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from ..errors import ConfigError
-from .presets import PATH_TRACED, PRESETS, STARTS, prefiltering
+from .presets import PRESETS, STARTS, prefiltering
 from .problems import describe, nearest
 from .schema import Config, PathMark, asset_first
 from .section import SAMPLE_PREFIX as SAMPLE_PREFIX
@@ -73,7 +73,7 @@ def load_config(
         merged = _merge(STARTS["images"], merged)
     reference, optimizer = merged.get("reference"), merged.get("optimizer")
     if isinstance(reference, Mapping) and reference.get("transport") in ("baked", "matched"):
-        merged = _merge(PATH_TRACED, merged)
+        merged = _merge(STARTS["path traced"], merged)
     target = optimizer.get("target_resolution") if isinstance(optimizer, Mapping) else None
     if isinstance(target, int) and 8 <= target <= 8192:
         merged = _merge(prefiltering(target), merged)

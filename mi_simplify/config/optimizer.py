@@ -37,7 +37,7 @@ class LargeStepsSettings(Section):
 class OptimizerSettings(Section):
     """The optimisation loop."""
 
-    steps: int = Field(600, ge=0, description="Number of steps at most; 0 exports the first guess.")
+    steps: int = Field(150, ge=0, description="Number of steps at most; 0 exports the first guess.")
     tolerance: float = Field(
         0.01,
         ge=0,

@@ -8,7 +8,7 @@ from typing import Any
 
 PRESETS: dict[str, dict[str, Any]] = {
     # On two idle cores: half a minute, a minute, and as long as it takes.
-    "fast": {"optimizer": {"steps": 60}},
+    "fast": {"optimizer": {"steps": 80}},
     "balanced": {},
     "best": {
         "optimizer": {"steps": 3000, "spp": 4, "tolerance": 0.0},
@@ -17,8 +17,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
 }
 
-#: Below the transports ``baked`` and ``matched``: a path tracer is noisy everywhere, not in edges alone.
-PATH_TRACED: dict[str, Any] = {"reference": {"spp": 16, "refresh": 2}}
+#: For what has farther to go than a decimated model at rest under direct light.
+_LONG: dict[str, Any] = {"steps": 600, "tolerance": 0.002}
 
 #: What ``--evaluate full`` adds: the samples of the ``evaluate`` command, and quadric decimation beside.
 FULL_EVALUATION: dict[str, Any] = {"spp": 64, "baseline": True}
@@ -38,6 +38,7 @@ def prefiltering(target: int) -> dict[str, Any]:
         },
         "latent": {"mips": "derived"},
         "optimizer": {
+            **_LONG,
             "resolution": target,
             "batch": min(max(2 * 65536 // target**2, 2), 32),
             "spp": 8,
@@ -59,18 +60,24 @@ STARTS: dict[str, dict[str, Any]] = {
     "sphere": {
         "initial": {"textures": "constant"},
         "optimizer": {
+            **_LONG,
             "resolution": [64, 128, 256],
             "rates": {"vertices": 0.2, "base_color": 0.1, "specular": 0.01, "normal": 0.02},
             "large_steps": {"lambda_": 19.0},
         },
         "loss": {"coverage": 10.0, "laplacian": {"weight": 0.0}},
     },
+    # `transport: baked` or `matched`: a path tracer is noisy everywhere, not in edges alone.
+    "path traced": {"reference": {"spp": 16, "refresh": 2}, "optimizer": _LONG},
+    # Each step shows one frame of many.
+    "character": {"optimizer": _LONG},
     # Smaller steps, and less smooth ones, than for a thing at rest, so that it keeps thin limbs.
     "sphere of a character": {"optimizer": {"rates": {"vertices": 0.05}, "large_steps": {"lambda_": 4.0}}},
     # Of images: their hull has the outlines, but no hollows and no colours.
     "images": {
         "initial": {"textures": "constant", "crease_angle": 180.0},
         "optimizer": {
+            **_LONG,
             "resolution": [128, 256],
             "rates": {"vertices": 0.02, "base_color": 0.15, "specular": 0.01, "normal": 0.01},
             "large_steps": {"lambda_": 10.0},
@@ -84,8 +91,10 @@ STARTS: dict[str, dict[str, Any]] = {
             "optimize": ["vertices", "base_color", "opacity", "roughness", "normal"],
             "min_roughness": 0.6,
         },
+        "reference": {"spp": 16, "refresh": 2},
         "optimizer": {
             "steps": 200,
+            "tolerance": 0.002,
             "batch": 4,
             "spp": 4,
             "rates": {"vertices": 0.003, "base_color": 0.01, "specular": 0.001, "normal": 0.01},

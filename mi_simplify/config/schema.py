@@ -131,7 +131,7 @@ class EvaluationSettings(Section):
     views: int = Field(8, ge=1, le=1024, description="Number of views.")
     resolution: int = Field(256, ge=16, le=8192, description="Image width and height [px].")
     spp: int = Field(16, ge=1, le=65536, description="Samples per pixel.")
-    every: int = Field(50, ge=1, description="Steps between two measurements of PSNR while the fit runs.")
+    every: int = Field(25, ge=1, description="Steps between two measurements of PSNR while the fit runs.")
     light: Literal["relit", "fitted"] = Field(
         "relit",
         description="`relit`: path traced, in light that the fit has not seen. `fitted`: the reference as it was fitted"

@@ -45,6 +45,7 @@ class Character(Subject):
     """
 
     def __init__(self, config: Config, geometry: Asset):
+        config = config.started(STARTS["character"])
         if config.initial.kind == "sphere":
             config = config.started(STARTS["sphere of a character"])
         super().__init__(config, geometry)
