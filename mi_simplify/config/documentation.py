@@ -53,8 +53,7 @@ def markdown() -> str:
         ("Presets", "What each preset sets, everything else keeps its default.", PRESETS),
         (
             "Starts",
-            "What another `initial.kind`, images, a character, or a path traced reference set, below the preset and the "
-            "file.",
+            "What another `initial.kind`, images, a character or a path traced reference set, below preset and file.",
             STARTS,
         ),
     ):
