@@ -356,7 +356,10 @@ def test_options_reach_the_job(monkeypatch, tmp_path, capsys):
     assert (config.optimizer.batch, config.optimizer.spp, config.preset) == (2, 2, "fast")
     assert (config.variant, out, overwrite) == ("llvm_ad_rgb", "out/a", True)
     assert capsys.readouterr().out == "the summary\n"
-    assert cli.main(["run", "c.yaml", "-o", "elsewhere", "--quiet"]) == 0
+    quick = config.evaluation
+    assert cli.main(["run", "c.yaml", "-o", "elsewhere", "--quiet", "--time", "1.5min", "--evaluate", "full"]) == 0
+    config = jobs[1][0]
+    assert config.optimizer.time == 90 and config.evaluation.baseline and config.evaluation.spp > quick.spp
     assert (jobs[1][0].asset, jobs[1][1], jobs[1][2]) == (str(tmp_path / "other.obj"), "elsewhere", False)
     assert capsys.readouterr().out == ""
 
