@@ -25,6 +25,7 @@ from .cards.cards import cards as card_model
 from .cards.cards import is_aggregate
 from .closest import ClosestPoints
 from .groups import grouped
+from .morphs import carried_morphs
 from .reduce.cleanup import clean
 from .repair.kept import keep_mesh
 from .soup import merge
@@ -200,6 +201,8 @@ def _textured(
     size, oversample = settings.atlas_size, settings.oversample
     model = _plain(asset, mesh, size, settings.textures, seed)
     model = replace(model, name=asset.name, metadata=asset.metadata)
+    if not settings.subdivisions and settings.vertex_sets == 1 and any(part.morphs for part in asset.parts):
+        model = replace(model, morphs=carried_morphs(asset, mesh))
     if settings.subdivisions:
         model = displaced_onto(asset, model, settings.subdivisions, settings.tessellations)
         mesh = tessellated(model).mesh

@@ -95,6 +95,25 @@ class Material:
 
 
 @dataclass(frozen=True)
+class Morph:
+    """
+    A morph target.
+
+    Parameters
+    ----------
+    name : str
+    offsets : ndarray, shape (V, 3), float64
+        What is added to the positions of a part at weight 1 [units of the file].
+    weight : float
+        Its default, with which the part's positions are as they are.
+    """
+
+    name: str
+    offsets: np.ndarray
+    weight: float = 0.0
+
+
+@dataclass(frozen=True)
 class Part:
     """
     An indexed triangle mesh with one material, in its own frame.
@@ -115,6 +134,7 @@ class Part:
         Which joints of the asset's rig pull at the vertices, where it has one.
     more_uvs : tuple of ndarray, shape (V, 2), float32
         Further texture coordinates, which the material's :class:`Lookup` names.
+    morphs : tuple of Morph
     """
 
     vertices: np.ndarray
@@ -126,6 +146,7 @@ class Part:
     name: str = "part"
     skin: Skin | None = None
     more_uvs: tuple[np.ndarray, ...] = ()
+    morphs: tuple[Morph, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -203,7 +224,8 @@ class Asset:
                 normals = normals.astype(np.float32)
             faces = part.faces[:, ::-1] if np.linalg.det(linear) < 0 else part.faces
             vertices = part.vertices @ linear.T + inst.to_world[:3, 3]
-            out.append(replace(part, vertices=vertices, faces=faces, normals=normals, name=inst.name))
+            morphs = tuple(replace(morph, offsets=morph.offsets @ linear.T) for morph in part.morphs)
+            out.append(replace(part, vertices=vertices, faces=faces, normals=normals, name=inst.name, morphs=morphs))
         return out
 
     def transformed(self, to_world: np.ndarray) -> Asset:

@@ -65,6 +65,25 @@ class VertexSets:
 
 
 @dataclass(frozen=True)
+class Morphs:
+    """
+    Morph targets of the asset on the small mesh.
+
+    Parameters
+    ----------
+    names : tuple of str
+    weights : tuple of float
+        Defaults, with which the mesh's positions are as they are.
+    offsets : ndarray, shape (K, P, 3)
+        What each adds to the positions at weight 1.
+    """
+
+    names: tuple[str, ...]
+    weights: tuple[float, ...]
+    offsets: np.ndarray
+
+
+@dataclass(frozen=True)
 class Model:
     """
     Mesh and PBR textures of one material.
@@ -95,6 +114,8 @@ class Model:
         As in :class:`.asset.Material`; baked from the asset, and left alone by the fit.
     groups : Groups, optional
         What the faces differ in besides textures; without them all are of ``alpha_mode`` and shown from both sides.
+    morphs : Morphs, optional
+        Not together with ``displacement`` or ``vertex_sets``.
     metadata : mapping
         Of the asset, see :attr:`.asset.Asset.metadata`.
     """
@@ -114,6 +135,7 @@ class Model:
     emission: np.ndarray | None = None
     occlusion: np.ndarray | None = None
     groups: Groups | None = None
+    morphs: Morphs | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -149,7 +171,8 @@ class Model:
         if sets is not None:
             sets = replace(sets, offsets=sets.offsets * scale)
         skin = None if self.skin is None else self.skin.transformed(scale, offset)
-        return replace(self, mesh=mesh, displacement=displacement, vertex_sets=sets, skin=skin)
+        morphs = None if self.morphs is None else replace(self.morphs, offsets=self.morphs.offsets * scale)
+        return replace(self, mesh=mesh, displacement=displacement, vertex_sets=sets, skin=skin, morphs=morphs)
 
     def taking(self, fitted: Model, quantities: Collection[str]) -> Model:
         """

@@ -23,7 +23,7 @@ from ..machine.files import make_folder, write_atomic
 from ..model.asset import Asset
 from ..model.groups import Group, Groups
 from ..model.mesh import Mesh
-from ..model.model import Displacement, Model, VertexSets
+from ..model.model import Displacement, Model, Morphs, VertexSets
 from ..model.rig import Rig
 from ..model.rigging import Rigging
 
@@ -104,6 +104,9 @@ class Checkpoint:
             sets = model["vertex_sets"]
             model["vertex_sets"] = VertexSets(tuple(sets["sizes"]), sets["offsets"])
         model["metadata"] = json.loads(model["metadata"])
+        if model["morphs"] is not None:
+            given = model["morphs"]
+            model["morphs"] = Morphs(tuple(given["names"]), tuple(given["weights"]), given["offsets"])
         if model["groups"] is not None:
             kinds = tuple(Group(**kind) for kind in model["groups"]["kinds"])
             model["groups"] = Groups(kinds, model["groups"]["of_face"])

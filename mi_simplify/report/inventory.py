@@ -130,6 +130,9 @@ def _kept(asset: Asset, materials: list[Material]) -> list[str]:
         out.append(f"alpha modes: {', '.join(sorted(modes))}")
     if not all(m.double_sided for m in materials):
         out.append("backs that are not shown")
+    targets = dict.fromkeys(morph.name for part in asset.parts for morph in part.morphs)
+    if targets:
+        out.append(f"morph targets: {', '.join(targets)}")
     if asset.rig is not None:
         out += [f"skeleton of {len(asset.rig.names)} joints", *(f"clip '{name}'" for name, _, _ in asset.rig.clips)]
     return [*out, *(f"{key} of the file" for key in asset.metadata)]

@@ -140,7 +140,7 @@ FEATURES: dict[str, tuple[Callable[[Draft], None], str]] = {
     "unlit": (_lobe("KHR_materials_unlit"), "carried"),
     "copyright, extras": (lambda d: d.glb.json["asset"].update(copyright="me", extras={"a": 1}), "carried"),
     "instances": (_instances, "read"),
-    "morph targets": (_morph, "left out"),
+    "morph targets": (_morph, "carried"),
     "animated nodes": (_animation, "carried"),
     "material variants": (_variants, "left out"),
     "lights": (_lights, "left out"),

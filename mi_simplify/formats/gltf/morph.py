@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import AssetError, MeshError
+from ...model.asset import Morph
 from .file import GltfFile
 
 
@@ -54,3 +55,28 @@ def morphed(
         out = out.astype(np.float64) if out is values else out
         out[:, :n] += weight * offset[:, :n]
     return out
+
+
+def morph_targets(
+    file: GltfFile, primitive: dict[str, Any], names: Sequence[str], weights: Sequence[float] | None, n_vertices: int,
+    used: np.ndarray,
+) -> tuple[Morph, ...]:  # fmt: skip
+    """
+    The targets that move positions, by name, at some of the vertices; numbered where the file has no names.
+
+    Raises
+    ------
+    MeshError
+        A target has another number of vertices, or is not finite.
+    """
+    out = []
+    for k, target in enumerate(primitive.get("targets") or ()):
+        if "POSITION" not in target:
+            continue
+        offsets = file.accessor(target["POSITION"])
+        if offsets.shape != (n_vertices, 3) or not np.isfinite(offsets[used]).all():
+            raise MeshError(f"{file.name}: morph target {k} does not fit its {n_vertices} vertices; export it again")
+        name = names[k] if k < len(names) else f"target {k}"
+        weight = float(weights[k]) if weights is not None and k < len(weights) else 0.0
+        out.append(Morph(name, offsets[used].astype(np.float64), weight))
+    return tuple(out)

@@ -21,7 +21,7 @@ from ..validate import check_indices, used_vertices
 from .draco import draco_accessors
 from .file import GltfFile
 from .material import read_material
-from .morph import morphed
+from .morph import morph_targets, morphed
 from .motion import local_matrix, trs
 from .skeleton import Skeletons
 
@@ -161,14 +161,17 @@ class _Scene:
             numbers = []
             for k, primitive in enumerate(mesh.get("primitives", [])):
                 shown = f"{name}_{k}" if len(mesh["primitives"]) > 1 else name
-                part, _ = self._primitive(primitive, shown, mesh.get("weights") if weights is None else weights)
+                own = mesh.get("weights") if weights is None else weights
+                part, _ = self._primitive(primitive, shown, own, _target_names(mesh))
                 if part is not None:
                     numbers.append(len(self.parts))
                     self.parts.append(part)
             self._of_mesh[key] = numbers
         return self._of_mesh[key]
 
-    def _primitive(self, primitive: dict, name: str, weights: list[float] | None) -> tuple[Part | None, np.ndarray]:
+    def _primitive(
+        self, primitive: dict, name: str, weights: list[float] | None, target_names: list[str]
+    ) -> tuple[Part | None, np.ndarray]:
         """A primitive as a part under morph weights, and the vertices of the file that it kept."""
         file, attributes = self.file, primitive.get("attributes") or {}
         mode = primitive.get("mode", 4)
@@ -209,8 +212,6 @@ class _Scene:
             if material_index is None:  # vertex colours multiply the base colour, so they want a white one
                 material = type(material)("vertex colours", base_color=constant(1, 1, 1, 1))
         normals = attribute("NORMAL")
-        if primitive.get("targets"):
-            file.resources.note(f"morph targets of '{name}' were left out; it is shown with their default weights")
         part = Part(
             morphed(file, primitive, "POSITION", vertices, weights)[used].astype(np.float64), faces,
             None if normals is None else normals.astype(np.float32), None, colors, material, name,
@@ -220,7 +221,8 @@ class _Scene:
             if uvs is None:
                 file.resources.note(f"'{name}' has textures but no TEXCOORD_{place.set}; they show one texel")
         first, *more = placed(places, found)
-        return replace(part, uvs=first, more_uvs=tuple(more)), used
+        morphs = morph_targets(file, primitive, target_names, weights, len(vertices), used)
+        return replace(part, uvs=first, more_uvs=tuple(more), morphs=morphs), used
 
     def _skinned(self, index: int, node: dict, name: str, to_world: np.ndarray) -> None:
         """
@@ -231,7 +233,8 @@ class _Scene:
         mesh = file.item("meshes", node["mesh"])
         for k, primitive in enumerate(mesh.get("primitives", [])):
             shown = f"{name}_{k}" if len(mesh["primitives"]) > 1 else name
-            part, used = self._primitive(primitive, shown, node.get("weights", mesh.get("weights")))
+            own = node.get("weights", mesh.get("weights"))
+            part, used = self._primitive(primitive, shown, own, _target_names(mesh))
             if part is None:
                 continue
             attributes = primitive["attributes"]
@@ -261,6 +264,13 @@ class _Scene:
         while (index := self._parents[index]) >= 0:
             names.append(f"{self.file.item('nodes', index).get('name') or 'node'}.{index}")
         return "/".join(reversed(names))
+
+
+def _target_names(mesh: dict) -> list[str]:
+    """What a mesh calls its morph targets, where it says so."""
+    extras = mesh.get("extras")
+    names = extras.get("targetNames") if isinstance(extras, dict) else None
+    return [str(name) for name in names] if isinstance(names, list) else []
 
 
 def _triangles(index: np.ndarray, mode: int) -> np.ndarray:

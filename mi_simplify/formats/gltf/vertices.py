@@ -87,11 +87,15 @@ def _indices(container: Container, faces: np.ndarray, n_vertices: int) -> int:
 
 
 def _targets(container: Container, model: Model, mesh: Mesh, grid: Grid | None) -> list[dict] | None:
-    """A morph target for every further vertex set: the set itself at weight 1, blends of two between them."""
-    if model.vertex_sets is None:
+    """
+    A morph target for every further vertex set: the set itself at weight 1, blends of two between them; or for those of
+    the asset.
+    """
+    moving = model.vertex_sets if model.morphs is None else model.morphs
+    if moving is None:
         return None
     normals, targets = mesh.normals(), []
-    for offset in model.vertex_sets.offsets:
+    for offset in moving.offsets:
         moved = replace(mesh, positions=mesh.positions + offset).normals()
         step, turn = offset[mesh.position_index], (moved - normals)[mesh.normal_groups]
         # A difference of normals may be longer than 1, which integers cannot hold.

@@ -4,6 +4,7 @@ glTF 2.0 out: one binary file with mesh, tangents and textures.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ def glb_bytes(model: Model, *, extras: dict | None = None, settings: GlbSettings
     container = Container(settings.compress == "meshopt")
     if not len(model.mesh.faces):
         raise MeshError("nothing to export: the mesh has no faces")
-    model, origin = recentred(model)
+    model, origin = recentred(_at_rest(model))
     textures = encode_textures(model)
     has_relief = bool((textures.normal != FLAT).any())
     primitive = write_primitives(container, model, settings, tangents=settings.tangents and has_relief)
@@ -100,6 +101,14 @@ def glb_bytes(model: Model, *, extras: dict | None = None, settings: GlbSettings
     return container.glb(document | more)
 
 
+def _at_rest(model: Model) -> Model:
+    """The model with its morph targets at weight 0 instead of their defaults."""
+    if model.morphs is None:
+        return model
+    positions = model.mesh.positions - np.tensordot(model.morphs.weights, model.morphs.offsets, axes=1)
+    return replace(model, mesh=replace(model.mesh, positions=positions))
+
+
 def _metadata(model: Model, textures: Textures, extras: dict | None) -> dict:
     """What is said of the file: the asset's own copyright and extras, and ours, which win."""
     own = model.metadata.get("extras")
@@ -111,7 +120,9 @@ def _metadata(model: Model, textures: Textures, extras: dict | None) -> dict:
 
 def _target_names(model: Model) -> dict:
     """What the morph targets are for: sides of the images that the sets were fitted at, the mesh's own first."""
-    sets = model.vertex_sets
+    sets, morphs = model.vertex_sets, model.morphs
+    if morphs is not None:
+        return {"weights": list(morphs.weights), "extras": {"targetNames": list(morphs.names)}}
     if sets is None:
         return {}
     names = [f"{size:g} px" for size in sets.sizes[1:]]
