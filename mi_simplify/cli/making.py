@@ -143,8 +143,8 @@ def run(config, out, settings, **options) -> None:
 
 def _run(
     config, out, overrides, *,
-    preset, variant, fixed_shape, normal_only, skip, time_limit, judged, memory_limit, compress, no_tangents,
-    tensorboard, dry_run, overwrite, resume, quiet,
+    preset, variant, fixed_shape, normal_only, skip, time_limit, judged, memory_limit, compress, textures, quality,
+    no_tangents, tensorboard, dry_run, overwrite, resume, quiet,
 ) -> None:  # fmt: skip
     from ..config import load_config, with_fixed
     from ..config.presets import FULL_EVALUATION
@@ -152,7 +152,7 @@ def _run(
     from ..progress import seconds_of
 
     chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
-    packed = packing(compress, no_tangents)
+    packed = packing(compress=compress, textures=textures, quality=quality, no_tangents=no_tangents)
     chosen["export"] = ({"tensorboard": True} if tensorboard else {}) | ({"glb": packed} if packed else {})
     if time_limit is not None:
         chosen["optimizer"] = {"time": seconds_of(time_limit)}

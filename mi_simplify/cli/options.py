@@ -56,6 +56,12 @@ PACKING = combined(
         type=click.Choice(["none", "quantize", "meshopt"]),
         help="Geometry of the GLB file: exact, rounded to 8 and 16 bits, or compressed as well.",
     ),
+    click.option(
+        "--textures",
+        type=click.Choice(["png", "jpeg", "webp", "ktx2"]),
+        help="Images of the GLB file; ktx2 needs the program basisu.",
+    ),
+    click.option("--quality", type=click.IntRange(1, 100), help="Of images of colours that are not PNG; 90."),
     click.option("--no-tangents", is_flag=True, help="Leave tangents out of the GLB file: 16 bytes a vertex."),
 )
 KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")
@@ -78,11 +84,11 @@ def animation(frames: str | None, bind_pose_only: bool = False) -> dict[str, Any
     return out | ({"bind_pose_only": True} if bind_pose_only else {})
 
 
-def packing(compress: str | None, no_tangents: bool) -> dict[str, Any]:
+def packing(*, no_tangents: bool, **stated: Any) -> dict[str, Any]:
     """
-    What the options say of the GLB file.
+    What the options say of the GLB file: those of ``PACKING`` by name.
     """
-    out: dict[str, Any] = {} if compress is None else {"compress": compress}
+    out = {name: value for name, value in stated.items() if value is not None}
     return out | ({"tangents": False} if no_tangents else {})
 
 

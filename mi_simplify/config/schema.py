@@ -14,9 +14,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from .ambient import AmbientSettings
 from .animation import AnimationSettings
-from .images import ImagesSettings
-from .implicit import ImplicitSettings
+from .glb import GlbSettings as GlbSettings
 from .initial import InitialSettings
+from .inputs import ImagesSettings, ImplicitSettings
 from .opacity import OpacitySettings
 from .optimizer import LossSettings, OptimizerSettings
 from .section import FilePath as FilePath
@@ -139,21 +139,6 @@ class EvaluationSettings(Section):
     )
     baseline: bool = Field(
         False, description="Judge quadric decimation with colours carried over and flat normals as well."
-    )
-
-
-class GlbSettings(Section):
-    """How a GLB file is packed: what it holds is the same, how exactly and in how many bytes is not."""
-
-    compress: Literal["none", "quantize", "meshopt"] = Field(
-        "none",
-        description="Geometry: 32-bit floats; `quantize`: integers of 8 and 16 bits (KHR_mesh_quantization); `meshopt`:"
-        " those, compressed (EXT_meshopt_compression).",
-    )
-    tangents: bool = Field(
-        True,
-        description="Store MikkTSpace tangents where there is a normal map, 16 bytes a vertex; without them a viewer "
-        "makes its own.",
     )
 
 

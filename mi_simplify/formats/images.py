@@ -17,7 +17,7 @@ from PIL import Image
 from ..errors import AssetError, UserError
 from ..machine import memory
 from ..model.color import srgb_to_linear
-from . import ktx2
+from .pixels import ktx2
 
 #: Images with more pixels than this are refused before they are decoded.
 MAX_PIXELS = 16384**2

@@ -11,6 +11,7 @@ from typing import Any
 
 from .. import __version__
 from ..config import Config, dump, load_config
+from ..config.schema import GlbSettings
 from ..errors import Defect
 from ..export import as_exported, export_model
 from ..export.own_normals import with_own_normals
@@ -18,7 +19,7 @@ from ..formats.load import load_asset
 from ..initial.guess import first_guess
 from ..judging.comparison import save_comparison
 from ..judging.evaluate import Judging
-from ..judging.self_check import LEAST_PSNR, self_check
+from ..judging.self_check import LEAST_LOSSY_PSNR, LEAST_PSNR, self_check
 from ..judging.verdict import unlike
 from ..machine.files import write_atomic
 from ..machine.runtime import ensure_variant
@@ -171,7 +172,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             write_atomic(stage / "config.yaml", dump(config))  # again: the folder may have been removed meanwhile
         report_folder(folder.path, _displayed(subject) | {"result": result})
         folder.finished()
-    _require_likeness(shown, written)
+    _require_likeness(shown, written, config.export.glb)
     return Result(folder.path, guess, model, comparison.figures)
 
 
@@ -180,12 +181,14 @@ def _displayed(subject: Subject) -> dict[str, Asset]:
     return {} if subject.display is None else {"reference": subject.display}
 
 
-def _require_likeness(psnr: float, written: Path) -> None:
+def _require_likeness(psnr: float, written: Path, packed: GlbSettings = GlbSettings()) -> None:
     """Raise where a file does not show the model it was made from."""
-    if psnr < LEAST_PSNR:
+    is_exact = packed.is_lossless or written.suffix != ".glb"
+    least = LEAST_PSNR if is_exact else LEAST_LOSSY_PSNR
+    if psnr < least:
         raise Defect(
             f"{written} does not show the model it was made from: {psnr:.1f} dB PSNR, where "
-            f"{LEAST_PSNR:.0f} are expected; all files are kept, please report this with them"
+            f"{least:.0f} are expected; all files are kept, please report this with them"
         )
 
 

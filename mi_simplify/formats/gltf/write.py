@@ -16,27 +16,25 @@ from ...machine.files import write_atomic
 from ...model.groups import Group
 from ...model.model import Model
 from ..origin import recentred
-from ..textures import HOLDS_AMBIENT, Textures, encode_textures, png
+from ..packing import PackedTextures, pack_textures
+from ..textures import HOLDS_AMBIENT
 from .container import Container, some
 from .rig import write_rig
 from .vertices import write_primitives
 
 LINEAR, LINEAR_MIPMAP_LINEAR, REPEAT = 9729, 9987, 10497
 
-FLAT = (128, 128, 255)
-"""Texel of a normal map without relief."""
-
 
 def write_glb(
     model: Model, path: str | Path, *, extras: dict | None = None, settings: GlbSettings = GlbSettings()
 ) -> Path:
     """
-    Write a model as GLB: metallic-roughness material, MikkTSpace tangents, embedded textures; a character with
-    skeleton, weights and animation.
+    Write a model as GLB: metallic-roughness material, MikkTSpace tangents, embedded textures of what varies; a
+    character with skeleton, weights and animation.
 
     Triangles stand in the order of a GPU's vertex cache, vertices in that of their use.
     Further vertex sets are morph targets, named after the size on the screen that they are for.
-    Gamma leaves as KHR_materials_specular where a dielectric texel has any (:mod:`..textures`).
+    Gamma leaves as KHR_materials_specular where a dielectric texel has any (:mod:`..textures`, :mod:`..packing`).
     Vertices in which mirrored and unmirrored charts meet are doubled, since TANGENT's w is per vertex. A model far from
     the origin is stored around it, and its node has the translation.
 
@@ -59,7 +57,7 @@ def write_glb(
     MeshError
         The mesh has no faces.
     OutputError
-        The file cannot be written.
+        The file cannot be written; or textures cannot be as they are asked for.
     """
     return write_atomic(path, glb_bytes(model, extras=extras, settings=settings))
 
@@ -72,9 +70,8 @@ def glb_bytes(model: Model, *, extras: dict | None = None, settings: GlbSettings
     if not len(model.mesh.faces):
         raise MeshError("nothing to export: the mesh has no faces")
     model, origin = recentred(_at_rest(model))
-    textures = encode_textures(model)
-    has_relief = bool((textures.normal != FLAT).any())
-    primitive = write_primitives(container, model, settings, tangents=settings.tangents and has_relief)
+    textures = pack_textures(model, settings)
+    primitive = write_primitives(container, model, settings, tangents=settings.tangents and "normal" in textures.images)
     kinds = model.face_groups.kinds
     painted = _material(container, textures)
     materials = [_of_group(painted, kind, kind.name if len(kinds) > 1 else model.name) for kind in kinds]
@@ -109,7 +106,7 @@ def _at_rest(model: Model) -> Model:
     return replace(model, mesh=replace(model.mesh, positions=positions))
 
 
-def _metadata(model: Model, textures: Textures, extras: dict | None) -> dict:
+def _metadata(model: Model, textures: PackedTextures, extras: dict | None) -> dict:
     """What is said of the file: the asset's own copyright and extras, and ours, which win."""
     own = model.metadata.get("extras")
     extras = (own if isinstance(own, dict) else {} if own is None else {"asset": own}) | (extras or {})
@@ -137,33 +134,36 @@ def _of_group(painted: dict, group: Group, name: str) -> dict:
     return painted | own | some("extensions", extensions or None)
 
 
-def _material(container: Container, textures: Textures) -> dict:
+def _material(container: Container, textures: PackedTextures) -> dict:
     """What the materials of all groups share, its images appended to the buffer."""
-    base, orm = (_texture(container, name, getattr(textures, name)) for name in ("base_color", "orm"))
+    reference = {
+        name: container.image(name, image.content, image.mime, image.extension)
+        for name, image in textures.images.items()
+    }
+    color = list(textures.base_color)
+    pbr = {
+        **({} if color == [1.0] * 4 else {"baseColorFactor": color}),
+        **some("baseColorTexture", reference.get("base_color")),
+        **some("metallicRoughnessTexture", reference.get("orm")),
+        "metallicFactor": textures.metallic,
+        "roughnessFactor": textures.roughness,
+    }
     material: dict = {
-        "pbrMetallicRoughness": {
-            "baseColorTexture": base,
-            "metallicRoughnessTexture": orm,
-            "metallicFactor": 1.0,
-            "roughnessFactor": 1.0,
-        },
-        "normalTexture": _texture(container, "normal", textures.normal),
+        "pbrMetallicRoughness": pbr,
+        **some("normalTexture", reference.get("normal")),
     }
     extensions: dict = {}
     if textures.has_occlusion:
-        material["occlusionTexture"] = dict(orm)
+        material["occlusionTexture"] = dict(reference["orm"])
     if textures.specular_color is not None:
-        color = _texture(container, "specular_color", textures.specular_color)
-        extensions["KHR_materials_specular"] = {"specularColorTexture": color}
+        texture = some("specularColorTexture", reference.get("specular_color"))
+        extensions["KHR_materials_specular"] = texture or {"specularColorFactor": list(textures.specular_color)}
     if textures.emission is not None:
-        material["emissiveTexture"] = _texture(container, "emission", textures.emission)
-        material["emissiveFactor"] = [min(textures.emission_strength, 1.0)] * 3
-        if textures.emission_strength > 1:
-            extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": textures.emission_strength}
+        strength = textures.emission_strength
+        material |= some("emissiveTexture", reference.get("emission"))
+        material["emissiveFactor"] = [min(strength, 1.0) * value for value in textures.emission]
+        if strength > 1:
+            extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
     if extensions:
         material["extensions"] = extensions
     return material
-
-
-def _texture(container: Container, name: str, image: np.ndarray) -> dict:
-    return container.image(name, png(image), "image/png")

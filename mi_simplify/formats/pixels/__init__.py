@@ -1,0 +1,1 @@
+"""Arrays of pixels to the bytes of image files, and back where nobody else reads them."""
