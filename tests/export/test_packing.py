@@ -161,7 +161,12 @@ def basisu(monkeypatch) -> None:
 
 
 #: Most mean difference of texels [1/255] of colours and of normals.
-LOSSES = {"png": (0.01, 0.01), "webp": (3, 0.01), "jpeg": (3, 1.5), "ktx2": (6, 3)}  # ETC1S: one pair of colours a block
+LOSSES = {
+    "png": (0.01, 0.01),
+    "webp": (3, 0.01),
+    "jpeg": (3, 1.5),
+    "ktx2": (6, 3),
+}  # ETC1S: one pair of colours a block
 
 
 @pytest.mark.parametrize("kind", LOSSES)
@@ -177,8 +182,8 @@ def test_textures_of_every_format_are_read_back(model, tmp_path, request, node_r
     assert np.abs(found.normal - exact.normal).mean() * 127.5 <= normal
     assert np.abs(found.specular - exact.specular).mean() * 255 <= normal
     issues = json.loads(node_run("gltf-validator", KHRONOS, path.read_bytes()))
-    # The validator decodes no WebP and no KTX2, and says so.
-    known = {"IMAGE_UNRECOGNIZED_FORMAT"} if kind == "ktx2" else set()
+    # The validator does not know KTX2, neither the MIME type nor the content.
+    known = {"IMAGE_UNRECOGNIZED_FORMAT", "VALUE_NOT_IN_LIST"} if kind == "ktx2" else set()
     assert {m["code"] for m in issues["messages"] if m["severity"] < 2} <= known, issues
 
 
