@@ -39,7 +39,7 @@ class OptimizerSettings(Section):
 
     steps: int = Field(150, ge=0, description="Number of steps at most; 0 exports the first guess.")
     tolerance: float = Field(
-        0.01,
+        0.005,
         ge=0,
         lt=1,
         description="Least share by which the held-out loss falls from one measurement to the next "

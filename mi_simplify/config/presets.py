@@ -18,7 +18,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 #: For what has farther to go than a decimated model at rest under direct light.
-_LONG: dict[str, Any] = {"steps": 600, "tolerance": 0.002}
+_LONG: dict[str, Any] = {"steps": 600, "tolerance": 0.001}
 
 #: What ``--evaluate full`` adds: the samples of the ``evaluate`` command, and quadric decimation beside.
 FULL_EVALUATION: dict[str, Any] = {"spp": 64, "baseline": True}
@@ -94,7 +94,7 @@ STARTS: dict[str, dict[str, Any]] = {
         "reference": {"spp": 16, "refresh": 2},
         "optimizer": {
             "steps": 200,
-            "tolerance": 0.002,
+            "tolerance": 0.001,
             "batch": 4,
             "spp": 4,
             "rates": {"vertices": 0.003, "base_color": 0.01, "specular": 0.001, "normal": 0.01},
