@@ -1,0 +1,1 @@
+"""Precomputed radiance transfer of things that deform: cast by rays, learned by networks over geometry images."""
