@@ -11,10 +11,11 @@ import numpy as np
 from ...errors import AssetError
 from ...model.asset import Asset, Instance
 from . import relic
+from .fish import fish
 from .plant import FULL, plant
 from .walker import walker
 
-_FULL = {"relic": 180_000, "walker": 13_700, **FULL}
+_FULL = {"relic": 180_000, "walker": 13_700, "fish": 8_064, **FULL}
 """About how many triangles each has in full."""
 
 
@@ -32,7 +33,8 @@ def sample_asset(name: str = "relic") -> Asset:
     Parameters
     ----------
     name : str
-        ``relic``, an ornament, ``walker``, a figure that walks, or one of the plants ``shrub`` and ``fern``; with a
+        ``relic``, an ornament, ``walker``, a figure that walks, ``fish``, which swims, or one of the plants ``shrub``
+        and ``fern``; with a
         rough number of triangles ``relic:20k``, ``shrub:5000``. Below 100k the relic's textures have half the size.
 
     Returns
@@ -62,8 +64,8 @@ def sample_asset(name: str = "relic") -> Asset:
         share = wanted / _FULL[base]
     if base in FULL:
         return replace(plant(base, share), source=f"sample:{name}")
-    if base == "walker":
-        return replace(walker(share), source=f"sample:{name}")
+    if base in ("walker", "fish"):
+        return replace((walker if base == "walker" else fish)(share), source=f"sample:{name}")
     detail = float(np.sqrt(share))
     parts = (relic.egg(detail), relic.serpent(detail), relic.eyes(detail), relic.foot(detail))
     instances = tuple(Instance(k, name=p.name) for k, p in enumerate(parts))

@@ -35,10 +35,12 @@ def require_surface(faces: np.ndarray, what: str) -> None:
     _, counts = np.unique(edge_keys(edges, n), return_counts=True)
     if counts.max() > 2:
         raise MeshError(
-            f"{what}: a surface expected, {np.count_nonzero(counts > 2)} edges have more than two faces; repair it first"
+            f"{what}: a surface expected, {np.count_nonzero(counts > 2)} edges have more than two faces; mend it"
         )
     if len(np.unique(edges[:, 0] * n + edges[:, 1])) < len(edges):
-        raise MeshError(f"{what}: an oriented surface expected, neighbouring faces are wound against each other; mend it")
+        raise MeshError(
+            f"{what}: an oriented surface expected, neighbouring faces are wound against each other; mend it"
+        )
     pieces, labels = connected_components(coo_array((np.ones(len(edges)), edges.T), shape=(n, n)), directed=False)
     sizes = np.bincount(labels[faces[:, 0]], minlength=pieces)
     n_pieces = int(np.count_nonzero(sizes))

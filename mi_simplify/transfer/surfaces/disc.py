@@ -77,8 +77,8 @@ def make_disc(positions: np.ndarray, faces: np.ndarray, *, close_holes: bool = F
     if len(loops) > 1:
         if not close_holes:
             raise MeshError(
-                f"{what}: one border expected, it has {len(loops)}; close its holes with 'close_holes: true', or cut it "
-                f"into a disc"
+                f"{what}: one border expected, it has {len(loops)}; close its holes with 'close_holes: true', or cut "
+                f"it into a disc"
             )
         faces, source = _closed(faces, source, loops[1:])
         notes.append(f"{len(loops) - 1} holes closed with fans around their middles")

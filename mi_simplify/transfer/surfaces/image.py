@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array
-from scipy.spatial import cKDTree
 
 from ...errors import MeshError
+from ...initial.closest import ClosestPoints, sample_surface
 from ...model.topology import area_vectors, vertex_normals
 from .disc import Disc, make_disc
 from .square import map_to_square, n_flipped, stretch
 
-#: Points that the distance of the resampled surface is measured at, at most.
-MOST_POINTS = 40_000
+#: Points of each surface that the distance of the resampled one is measured at, beside the middles of the faces.
+N_POINTS = 20_000
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,14 @@ class GeometryImage:
         """
         faces = self.weld[self.faces]
         used = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
-        return vertex_normals(positions, used)[self.weld].astype(np.float32)
+        out = vertex_normals(positions, used)[self.weld].astype(np.float32)
+        n = self.n
+        if (self.weld != np.arange(n**2)).any():
+            # At the ends of a cut two triangles lie back to back, and at its middle, the other two corners, they are
+            # slivers along it; pixels beside them know the direction.
+            out[[0, -1]] = out[[1, -2]]
+            out[[n - 1, n * (n - 1)]] = out[[n - 2, n * (n - 2)]]
+        return out
 
 
 def grid_faces(n: int) -> np.ndarray:
@@ -159,38 +166,19 @@ def _weld(n: int) -> np.ndarray:
     grid = np.arange(n * n).reshape(n, n)
     around = np.concatenate([grid[0, :-1], grid[:-1, -1], grid[-1, :0:-1], grid[:0:-1, 0]])
     out = np.arange(n * n)
-    out[np.roll(around[::-1], 1)] = np.minimum(around, np.roll(around[::-1], 1))
-    out[around] = np.minimum(out[around], np.roll(around[::-1], 1))
+    out[around] = np.minimum(around, np.roll(around[::-1], 1))
     return out
 
 
-def _distances(
-    positions: np.ndarray, faces: np.ndarray, grid: np.ndarray, cells: np.ndarray
-) -> tuple[float, float]:
-    """Mean and largest distance between two surfaces, both ways, in diagonals; from samples of both."""
-    a, b = _spread(positions, faces), _spread(grid, cells)
-    diagonal = np.linalg.norm(np.ptp(positions, axis=0))
-    both = np.concatenate([_to_surface(a, b), _to_surface(b, a)]) / diagonal
+def _distances(positions: np.ndarray, faces: np.ndarray, grid: np.ndarray, cells: np.ndarray) -> tuple[float, float]:
+    """Mean and largest distance between two surfaces, both ways, in diagonals; from points of both, spread by area."""
+    both = np.concatenate([_to_surface(positions, faces, grid, cells), _to_surface(grid, cells, positions, faces)])
+    both /= np.linalg.norm(np.ptp(positions, axis=0))
     return float(both.mean()), float(both.max())
 
 
-def _spread(positions: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points by area, and the normals there."""
-    rng = np.random.default_rng(0)
-    vectors = area_vectors(positions[faces])
-    area = np.linalg.norm(vectors, axis=1)
-    face = rng.choice(len(faces), MOST_POINTS, p=area / area.sum())
-    u, v = rng.random((2, MOST_POINTS, 1))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    p = positions[faces[face]]
-    points = p[:, 0] + u * (p[:, 1] - p[:, 0]) + v * (p[:, 2] - p[:, 0])
-    return points, vectors[face] / area[face, None]
-
-
-def _to_surface(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Distances of points to another surface: to the planes through its nearest samples, never more than to these."""
-    distance, nearest = cKDTree(b[0]).query(a[0], k=4)
-    offset = a[0][:, None] - b[0][nearest]
-    plane = np.abs(np.einsum("nki,nki->nk", offset, b[1][nearest]))
-    spacing = distance[:, :1]
-    return np.where(distance <= 2 * spacing + 1e-300, plane, distance).min(1)
+def _to_surface(vertices: np.ndarray, faces: np.ndarray, others: np.ndarray, other_faces: np.ndarray) -> np.ndarray:
+    """Distances of points of a surface to another one."""
+    corners = vertices[faces]
+    points, _ = sample_surface(corners, np.linalg.norm(area_vectors(corners), axis=1), N_POINTS, 0)
+    return ClosestPoints(others, other_faces).query(points).distance
