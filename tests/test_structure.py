@@ -12,7 +12,8 @@ PACKAGE = ROOT / "mi_simplify"
 #: From the ground floor up; a package imports from those before it and from itself.
 FLOORS = (
     "errors", "registry", "progress", "config", "model", "machine", "bsdfs", "formats", "scenes", "initial", "latent",
-    "integrators", "plugins", "fitting", "export", "judging", "report", "record", "subjects", "transfer", "jobs", "display", "cli",
+    "integrators", "plugins", "fitting", "export", "judging", "report", "record", "subjects", "transfer",
+    "jobs", "display", "cli",
 )  # fmt: skip
 
 #: Modules that a folder holds at most.
