@@ -2,7 +2,7 @@
 Transfer coefficients by ray casting (Sloan et al. 2002): how each vertex answers low-frequency light from far away.
 
 With albedo ρ, visibility V and unit normal n, ``T(ω) = ρ/π V(ω) max(0, n·ω)``; coefficient k is ``∫ T Y_k dω`` for the
-real spherical harmonics Y of :mod:`..model.harmonics`. Radiance that leaves the vertex under light with coefficients l
+real spherical harmonics Y of :mod:`..model.light.harmonics`. Radiance that leaves the vertex under light with coefficients l
 is ``Σ_k l_k T_k``.
 """
 
@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..machine.meshes import MovingMesh
-from ..model.harmonics import MAX_DEGREE, harmonics
+from ..model.light.harmonics import MAX_DEGREE, harmonics
 
 #: Zonal coefficients of max(0, cos θ), band by band (Ramamoorthi and Hanrahan 2001, Eq. 8).
 COSINE = (np.pi, 2 * np.pi / 3, np.pi / 4, 0.0)

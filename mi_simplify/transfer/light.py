@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..model.harmonics import degree_of, environment_coefficients, environment_image, harmonics
+from ..model.light.harmonics import degree_of, environment_coefficients, environment_image, harmonics
 
 
 def rotation(order: int, turn: np.ndarray) -> np.ndarray:

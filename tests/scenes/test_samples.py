@@ -80,7 +80,7 @@ def test_a_plant_is_a_million_triangles_of_few_parts_in_a_tree_of_nodes(name, mo
 
 def test_unknown_names_say_what_there_is():
     assert sample_names() == ["relic", "walker", "fish", "shrub", "fern"]
-    with pytest.raises(AssetError, match="there is relic, walker, shrub, fern"):
+    with pytest.raises(AssetError, match="there is relic, walker, fish, shrub, fern"):
         sample_asset("teapot")
     with pytest.raises(AssetError, match="relic:20k"):
         sample_asset("relic:many")

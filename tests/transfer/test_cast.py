@@ -5,10 +5,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import trimesh
-from mi_simplify.model.harmonics import environment_image, harmonics
 
 from mi_simplify.judging.metrics import psnr
 from mi_simplify.machine.meshes import make_mesh
+from mi_simplify.model.light.harmonics import environment_image, harmonics
 from mi_simplify.model.topology import vertex_normals
 from mi_simplify.transfer.cast import Caster, unshadowed
 from mi_simplify.transfer.picture import Camera, seen

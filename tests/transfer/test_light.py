@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from mi_simplify.model.harmonics import harmonics
 from scipy.spatial.transform import Rotation
 
+from mi_simplify.model.light.harmonics import harmonics
 from mi_simplify.transfer.cast import unshadowed
 from mi_simplify.transfer.light import SKIES, rotation, shade, sky, spiral, turned, turning_series
 
