@@ -2,8 +2,8 @@
 Transfer coefficients by ray casting (Sloan et al. 2002): how each vertex answers low-frequency light from far away.
 
 With albedo ρ, visibility V and unit normal n, ``T(ω) = ρ/π V(ω) max(0, n·ω)``; coefficient k is ``∫ T Y_k dω`` for the
-real spherical harmonics Y of :mod:`..model.light.harmonics`. Radiance that leaves the vertex under light with coefficients l
-is ``Σ_k l_k T_k``.
+real spherical harmonics Y of :mod:`..model.light.harmonics`. Radiance that leaves the vertex under light with
+coefficients l is ``Σ_k l_k T_k``.
 """
 
 from __future__ import annotations
