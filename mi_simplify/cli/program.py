@@ -16,6 +16,7 @@ from .about import config_schema, doctor, version
 from .batching import batch
 from .judging import compare, evaluate, inspect, render, report
 from .making import bake, forest, lod, run, simplify
+from .transfer import transfer
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -28,6 +29,7 @@ def cli() -> None:
 
 for _command in (
     simplify, run, lod, bake, forest, batch, evaluate, compare, report, render, inspect, doctor, version, config_schema,
+    transfer,
 ):  # fmt: skip
     cli.add_command(_command)
 

@@ -89,8 +89,10 @@ def load_dataset(path: str | Path) -> Dataset:
     try:
         with np.load(path, allow_pickle=False) as data:
             figures = dict(zip(data["figure_names"].tolist(), data["figures"].tolist(), strict=True))
-            images = [np.asarray(data[k], np.float32) for k in ("positions", "normals", "transfer")]
-            return Dataset(int(data["n"]), *images, float(data["albedo"]), figures)
+            positions, normals, transfer = (
+                np.asarray(data[k], np.float32) for k in ("positions", "normals", "transfer")
+            )
+            return Dataset(int(data["n"]), positions, normals, transfer, float(data["albedo"]), figures)
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise AssetError(f"{path}: a file of 'transfer bake' expected, it cannot be read ({error}); bake it") from None
 
