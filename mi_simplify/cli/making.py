@@ -4,6 +4,7 @@ The commands that make something: models, levels of detail, forests.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -171,6 +172,8 @@ def _run(
         result = job(settings, out, progress, overwrite=overwrite, resume=resume)
     if dry_run or not quiet:
         print(result.summary())
+    for line in () if dry_run else result.growth:
+        print(f"warning: {line}", file=sys.stderr)
     if not dry_run and result.alarm is not None:
         click.secho(f"warning: {result.alarm}", fg="red", err=True)  # colours are left out where it is no terminal
 

@@ -20,7 +20,7 @@ from ..initial.guess import first_guess
 from ..judging.comparison import save_comparison
 from ..judging.evaluate import Judging
 from ..judging.self_check import LEAST_LOSSY_PSNR, LEAST_PSNR, self_check
-from ..judging.verdict import unlike
+from ..judging.verdict import larger, unlike
 from ..machine.files import write_atomic
 from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
@@ -70,6 +70,13 @@ class Result:
         One line where the result is plainly unlike the asset: see :func:`mi_simplify.judging.verdict.unlike`.
         """
         return unlike(self.figures)
+
+    @property
+    def growth(self) -> list[str]:
+        """
+        Lines where the result is larger than the asset: see :func:`mi_simplify.judging.verdict.larger`.
+        """
+        return larger(self.figures)
 
 
 def run_job(

@@ -124,12 +124,20 @@ def report_page(
 
 
 def _cards(figures: Mapping, log: Sequence[Mapping]) -> list[dict[str, str]]:
-    """The four or five numbers that matter, with what they were before."""
+    """The numbers that matter, with what they were before, and what the result costs beside the asset."""
     candidates = list(figures["candidates"].items())
     (first_name, first), (_, last) = candidates[0], candidates[-1]
     source = figures["reference"]["triangles"]
     share = f"of {source:,}, {100 * last['triangles'] / source:,.1f} %"
     cards = [{"name": "triangles", "value": f"{last['triangles']:,}", "unit": "", "verdict": "", "note": share}]
+    for key in ("vertices", "texels", "bytes"):
+        now, before = last.get(key), figures["reference"].get(key)
+        if now is not None and before is not None:
+            head, shown = COSTS[key]
+            verdict = "same" if now == before else "good" if now < before else "bad"
+            cards.append(
+                {"name": head, "value": shown(now), "unit": "", "verdict": verdict, "note": f"asset: {shown(before)}"}
+            )
     for key, (name, pattern, unit, better) in FIGURES.items():
         now, before, verdict, note = pattern.format(last[key]), pattern.format(first[key]), "", ""
         if len(candidates) > 1:

@@ -338,6 +338,7 @@ def test_options_reach_the_job(monkeypatch, tmp_path, capsys):
 
     class Done:
         alarm = None
+        growth: tuple = ()
 
         def summary(self):
             return "the summary"
@@ -381,7 +382,7 @@ def test_options_of_the_start_and_of_what_is_fitted(arguments, initial, optimize
 
     def started(config, *args, **options):
         jobs.append(config)
-        return SimpleNamespace(summary=str, alarm=None)
+        return SimpleNamespace(summary=str, alarm=None, growth=())
 
     monkeypatch.setattr(job, "run_job", started)
     monkeypatch.chdir(tmp_path)

@@ -32,7 +32,7 @@ from mi_simplify.report import gallery
 from mi_simplify.report.chart import line_chart, log_ticks, ticks
 from mi_simplify.report.folder import report_folder
 from mi_simplify.report.gallery import pictures
-from mi_simplify.report.html import report_page, write_report
+from mi_simplify.report.html import _cards, report_page, write_report
 from mi_simplify.report.templates import render
 from mi_simplify.report.viewer import viewer_data
 from mi_simplify.scenes.references.mitsuba import MitsubaReference
@@ -454,3 +454,13 @@ def test_an_unwritable_folder_is_found_before_rendering(tmp_path):
     with pytest.raises(OutputError, match="cannot write"):
         evaluate(octahedron(), {"same": octahedron()}, out=tmp_path / "file", progress=told.append)
     assert not told
+
+
+def test_costs_stand_beside_the_assets_in_green_or_red():
+    reference, result = (
+        {"vertices": v, "texels": 16, "bytes": b, "triangles": 9} for v, b in ((100, 5000), (40, 7000))
+    )
+    row = result | {"psnr": 30.0, "flip": 0.1, "silhouette_error": 0.01}
+    cards = {card["name"]: card for card in _cards({"reference": reference, "candidates": {"result": row}}, [])}
+    assert [cards[name]["verdict"] for name in ("vertices", "texels", "file")] == ["good", "same", "bad"]
+    assert (cards["file"]["value"], cards["file"]["note"]) == ("7.0 kB", "asset: 5.0 kB")
