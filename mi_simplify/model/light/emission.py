@@ -58,9 +58,17 @@ def own_emission(material: Material, ambient: np.ndarray) -> Material:
     """
     A material without the ambient term, of one colour (1, 3), that its emission holds.
     """
-    if material.emission is None or material.emission.shape[:2] != material.base_color.shape[:2]:
+    if material.emission is None:
         return material
-    metallic = np.broadcast_to(material.specular[..., 2], material.base_color.shape[:2])
-    left = material.emission - emission_of(ambient, material.base_color, metallic)
+    images = (material.emission, material.base_color, material.specular)  # files hold each at a size of its own
+    height, width = (max(image.shape[axis] for image in images) for axis in (0, 1))
+    emission, base, specular = (_nearest(image, height, width) for image in images)
+    left = emission - emission_of(ambient, base, specular[..., 2])
     left = np.where(left > _NOISE * material.emission.max(), left, 0).astype(np.float32)
     return replace(material, emission=left if left.any() else None)
+
+
+def _nearest(image: np.ndarray, height: int, width: int) -> np.ndarray:
+    """An image at another size, each texel that whose place it is in."""
+    rows, columns = (np.arange(n) * m // n for n, m in zip((height, width), image.shape[:2], strict=True))
+    return image[rows[:, None], columns]
