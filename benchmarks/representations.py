@@ -29,6 +29,8 @@ def main() -> None:
     parser.add_argument("--asset", default="sample:relic:20k", help="of the cases that have none of their own")
     parser.add_argument("--environment", help="EXR or HDR, for 'baked' and 'images-unknown'")
     parser.add_argument("--triangles", type=int, default=3000)
+    parser.add_argument("--photographs", type=int, default=100, help="images to fit, and a fifth as many to judge by")
+    parser.add_argument("--side", type=int, default=256, help="of these [px]")
     parser.add_argument("--views", type=int, default=8, help="held-out views")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "representations")
     parser.add_argument("--set", nargs="*", default=[], help="settings for all, as on the command line")
@@ -64,7 +66,7 @@ def settings_of(case: str, args: argparse.Namespace, folder: Path) -> list:
             return [*settings, "reference.transport=baked", "views.light.position=[2.0, 3.0, 1.5]"]
         return settings
     if case.startswith("images"):
-        path = photographs(args.asset, folder.with_name(folder.name + "-set"), case, args.environment)
+        path = photographs(args, folder.with_name(folder.name + "-set"), case)
         held_out = path.parent / "held_out" / path.name
         return [f"asset={path}", f"images.held_out={held_out}", f"initial.triangles={args.triangles}"]
     settings = [f"asset={args.asset}", f"initial.triangles={args.triangles}"]
@@ -75,20 +77,20 @@ def settings_of(case: str, args: argparse.Namespace, folder: Path) -> list:
     return [*settings, {"reference": baked, **static}, "optimizer.rates.base_color=0.01"]
 
 
-def photographs(asset: str, folder: Path, case: str, environment: str | None) -> Path:
-    """100 images of 256² to fit and 20 to judge by, by Mitsuba: lit by a light each, or path traced in a static one."""
+def photographs(args: argparse.Namespace, folder: Path, case: str) -> Path:
+    """Images to fit and to judge by, by Mitsuba: lit by a light each, or path traced in a static one."""
     from mi_simplify.formats.captured.write import write_captured
     from mi_simplify.scenes.views import goniometer
 
-    model = ms.open_asset(asset)
+    model = ms.open_asset(args.asset)
     frame = ms.Frame.around(model.bounds)
     known = case == "images"
     target = frame.normalised(model)
     reference = ms.make_reference(target, transport="direct", spp=32)
     if not known:
-        reference = ms.make_reference(target, transport="baked", spp=64, environment=environment)
-    for name, n, seed in ((".", 100, 1), ("held_out", 20, 2)):
-        views = goniometer(n, np.random.default_rng(seed), width=256, height=256, irradiance=2.5)
+        reference = ms.make_reference(target, transport="baked", spp=64, environment=args.environment)
+    for name, n, seed in ((".", args.photographs, 1), ("held_out", args.photographs // 5, 2)):
+        views = goniometer(n, np.random.default_rng(seed), width=args.side, height=args.side, irradiance=2.5)
         views = views if known else views.lit_by(0.0)
         light = "point" if known else "environment"
         path = write_captured(folder / name, views.arrays(), reference.render(views, seed), format="exr", light=light)

@@ -8,6 +8,7 @@ import sys
 import pytest
 from support.paths import ROOT
 from support.short import SHORT
+from support.tiny_models import Glb
 from support.toy import bumpy_sphere
 
 import mi_simplify as ms
@@ -31,12 +32,15 @@ ARGUMENTS = {
     "detail tessellations sphere.ply --steps 1 --views 3 --resolution 32 --set": [*SHORT, "initial.triangles=60"],
     "detail chain sphere.ply --budgets 300,100 --steps 2 --set": SHORT,
     "end_to_end --smallest sphere.ply": [],
-    "foliage --plant sphere.ply --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],
+    "foliage --plant plant.glb --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],
     "glossy --asset sphere.ply --triangles 200 --picture glossy.jpg --views 4 --spp 1 --set": SHORT,
-    "gradient_table --rounds 1 --dry --only": ["two objects, 1 layer"],
+    "gradient_table --rounds 2 --dry --only": ["two objects, 1 layer"],
     "gradients --json --steps 2 --row 1 32 200 64": [],
     "quality --assets . --judge judge.py --out out --docs . --only spot,-500 --set": SHORT,
-    "representations images --asset sphere.ply --triangles 200 --views 2 --out out --set": SHORT,
+    "representations images --asset sphere.ply --triangles 200 --photographs 10 --side 32 --out out --set": [
+        *SHORT,
+        "evaluation.views=2",
+    ],
     "transports --asset sphere.ply --triangles 200 --out out --set": SHORT,
 }
 
@@ -68,6 +72,11 @@ def test_a_benchmark_runs(line, tmp_path, monkeypatch, capsys):
     if name == "detail":
         arguments[:0] = ["--out", "out"]
         monkeypatch.setattr(switching, "SIZES", (64, 32))
+    if name == "foliage":
+        glb = Glb()
+        glb.mesh(glb.quad(glb.material()))
+        glb.nodes(*[{"mesh": 0, "translation": [k % 5, k // 5, k % 3]} for k in range(30)])
+        glb.save(tmp_path / "plant.glb")
     if name == "quality":
         for folder in ("images", "spot"):
             (tmp_path / folder).mkdir()
