@@ -165,6 +165,7 @@ def test_the_same_picture_as_mitsuba_makes_of_the_file(scene):
         <rgb name="intensity" value="{arrays["light_intensity"][0, 0]}"/></emitter>
         <sensor type="perspective"><float name="fov" value="45"/><transform name="to_world">
         <lookat origin="{x}, {y}, {z}" target="0, 0, 0" up="0, 1, 0"/></transform>
+        <sampler type="multijitter"><integer name="sample_count" value="256"/></sampler>
         <film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="32"/><rfilter type="box"/>
         <string name="pixel_format" value="rgba"/><string name="component_format" value="float32"/></film></sensor>"""
     expected = mi.render(mi.load_file(scene(shared, merged, ball, sensor)), spp=256, seed=5).numpy()
