@@ -8,14 +8,15 @@ KHR_materials_specular's specular colour, a metallic one in its base colour, one
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 
 import numpy as np
+from PIL import Image
 
 from ..model.color import linear_to_srgb
 from ..model.light.emission import emission_of
 from ..model.model import Model
-from .pixels.png import encode_png
 
 HOLDS_AMBIENT = "emission_holds_ambient"
 """Key by which files of ours say so."""
@@ -163,9 +164,11 @@ def to_8bit(x: np.ndarray) -> np.ndarray:
 
 def png(image: np.ndarray) -> bytes:
     """
-    An 8-bit image of 1 (H, W), 2, 3 or 4 channels as the bytes of a PNG file.
+    An 8-bit image of 1 (H, W), 2, 3 or 4 channels as the bytes of a PNG file, soon rather than small.
     """
-    return encode_png(image)
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(stream, "PNG")
+    return stream.getvalue()
 
 
 def _checked(name: str, texture: np.ndarray, channels: int) -> np.ndarray:
