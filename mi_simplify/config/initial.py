@@ -49,7 +49,8 @@ class InitialSettings(Section):
         20.0,
         ge=0,
         le=180,
-        description="Edges of the first guess that turn by more than this get two normals [degrees]; 180: all smooth.",
+        description="Edges of the first guess that turn by more than this get two normals where the asset has a hard "
+        "edge, or where a chart ends, which costs no vertex [degrees]; 180: all smooth.",
     )
     padding: int = Field(4, ge=1, le=64, description="Empty texels between charts.")
     textures: Literal["bake", "constant", "random"] = Field(

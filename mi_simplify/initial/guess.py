@@ -24,6 +24,7 @@ from .bake.baker import bake
 from .cards.cards import cards as card_model
 from .cards.cards import is_aggregate
 from .closest import ClosestPoints
+from .creases import hard_edges
 from .groups import grouped
 from .morphs import carried_morphs
 from .reduce.cleanup import clean
@@ -112,7 +113,7 @@ def decimated(
         notes.append(f"{why}: textured cards (--mode cards) may show them better than one surface")
         log.warning("%s", notes[-1])
     positions, faces, more = reduced(asset, triangles, keep_hidden=settings.keep_hidden, resolution=resolution)
-    mesh, charted = unwrapped(positions, faces, settings)
+    mesh, charted = unwrapped(positions, faces, settings, hard_edges(asset, positions, faces))
     return _textured(asset, mesh, settings, seed, notes + more + charted)
 
 
@@ -138,7 +139,7 @@ def inflated(asset: Asset, settings: InitialSettings, *, seed: int = 0) -> tuple
     low, high = asset.bounds
     half = np.maximum((high - low) / 2, 0.05 * (high - low).max())
     positions, faces = sphere(budget(settings))
-    mesh, charted = unwrapped(positions * half + (low + high) / 2, faces, settings)
+    mesh, charted = unwrapped(positions * half + (low + high) / 2, faces, settings, np.zeros(faces.shape, bool))
     return _textured(asset, mesh, settings, seed, [*asset.notes, *charted])
 
 
@@ -185,13 +186,16 @@ def budget(settings: InitialSettings) -> int:
     return settings.triangles
 
 
-def unwrapped(positions: np.ndarray, faces: np.ndarray, settings: InitialSettings) -> tuple[Mesh, list[str]]:
+def unwrapped(
+    positions: np.ndarray, faces: np.ndarray, settings: InitialSettings, hard: np.ndarray | None = None
+) -> tuple[Mesh, list[str]]:
     """
-    A welded mesh with charts and creases as the settings have them, and notes.
+    A welded mesh with charts and creases as the settings have them, see :func:`unwrap`, and notes.
     """
     return unwrap(
-        positions, faces, atlas_size=settings.atlas_size, padding=settings.padding, crease_angle=settings.crease_angle
-    )
+        positions, faces, atlas_size=settings.atlas_size, padding=settings.padding, crease_angle=settings.crease_angle,
+        hard=hard,
+    )  # fmt: skip
 
 
 def _textured(

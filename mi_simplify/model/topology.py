@@ -94,7 +94,9 @@ def vertex_normals(
     return np.where(length > least, out / np.maximum(length, 1e-300), [0.0, 1.0, 0.0])
 
 
-def normal_groups(positions: np.ndarray, faces: np.ndarray, crease_angle: float) -> np.ndarray:
+def normal_groups(
+    positions: np.ndarray, faces: np.ndarray, crease_angle: float, where: np.ndarray | None = None
+) -> np.ndarray:
     """
     Which corners share a normal: those around a position that no crease separates.
 
@@ -105,6 +107,8 @@ def normal_groups(positions: np.ndarray, faces: np.ndarray, crease_angle: float)
         Over welded positions.
     crease_angle : float
         Edges whose faces turn by more than this are creases [degrees]; 180 has none.
+    where : ndarray, shape (F, 3), bool, optional
+        Edges, from corner k to corner k + 1, that may be creases at all.
 
     Returns
     -------
@@ -123,6 +127,8 @@ def normal_groups(positions: np.ndarray, faces: np.ndarray, crease_angle: float)
     pair = np.flatnonzero(key[order][1:] == key[order][:-1])
     first, second = order[pair], order[pair + 1]
     smooth = np.einsum("ij,ij->i", n[first // 3], n[second // 3]) >= np.cos(np.radians(crease_angle)) - 1e-9
+    if where is not None:
+        smooth |= ~(where.ravel()[first] | where.ravel()[second])
     first, second = first[smooth], second[smooth]
     # Neighbours run along their edge in opposite directions, unless one is wound the wrong way.
     against = a[first] == b[second]

@@ -34,7 +34,6 @@ def keep_mesh(
     keep_uv: bool = False,
     atlas_size: int = _DEFAULTS.atlas_size,
     padding: int = _DEFAULTS.padding,
-    time_limit: float = 60.0,
     crease_angle: float = _DEFAULTS.crease_angle,
 ) -> tuple[Mesh, list[str]]:
     """
@@ -48,7 +47,7 @@ def keep_mesh(
         The detailed surface to repair the mesh by, see :func:`repair`; without it no vertex moves.
     keep_uv : bool
         Refuse a mesh whose UVs cannot be baked to instead of making new ones.
-    atlas_size, padding, time_limit, crease_angle
+    atlas_size, padding, crease_angle
         As for :func:`unwrap`. A mesh that keeps its UVs has creases along their seams only: inside a chart the texels
         of one side would bleed into the other.
 
@@ -77,8 +76,7 @@ def keep_mesh(
     if why:
         notes.append(f"new texture coordinates: {why}")
         mesh, more = unwrap(
-            soup.positions, soup.position_faces, atlas_size=atlas_size, padding=padding, time_limit=time_limit,
-            crease_angle=crease_angle,
+            soup.positions, soup.position_faces, atlas_size=atlas_size, padding=padding, crease_angle=crease_angle
         )  # fmt: skip
         return mesh, notes + more
     mesh = split_mirrored(_with_creases(_own_uvs(soup), crease_angle))

@@ -1,13 +1,10 @@
 """
-Texture coordinates for a low-poly mesh: xatlas within a time limit, or the mesh's own, and a check of either.
+Texture coordinates for a low-poly mesh: charts cut, laid flat and packed; and a check of any layout.
 """
 
 from __future__ import annotations
 
-import io
-import subprocess
-import sys
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -15,13 +12,16 @@ from scipy.sparse.csgraph import connected_components
 
 from ...errors import MeshError
 from ...model.mesh import Mesh
-from ...model.topology import area_vectors, normal_groups, vertex_normals
+from ...model.topology import normal_groups
 from ..manifold import edge_pairs
+from .flatten import Flat, border_loops, flatten
+from .packing import pack
+from .segmentation import Segments, segment
 
-_ATTEMPTS = (3, 10)
-"""Fewest and most packings that are tried; about 12,000 triangles are unwrapped in all."""
 _THIN = 4.0
 """Charts narrower than this many texels lose their colour in the first mip levels."""
+_STRETCH = 1.05
+"""Largest L2 stretch of a chart."""
 
 
 def unwrap(
@@ -30,8 +30,8 @@ def unwrap(
     *,
     atlas_size: int = 1024,
     padding: int = 4,
-    time_limit: float = 60.0,
     crease_angle: float = 180.0,
+    hard: np.ndarray | None = None,
 ) -> tuple[Mesh, list[str]]:
     """
     Cut a mesh into charts and pack them into one square texture without overlap.
@@ -46,111 +46,82 @@ def unwrap(
         Side of the texture [texels].
     padding : int
         Empty texels between charts.
-    time_limit : float
-        Seconds that xatlas may take before every triangle becomes a chart of its own.
     crease_angle : float
-        Edges that turn by more get two normals, inside a chart as well [degrees]; 180 has none.
+        Edges that turn by more may get two normals [degrees]; 180 has none.
+    hard : ndarray, shape (F, 3), bool, optional
+        Edges, from corner k to corner k + 1, at which a crease may run inside a chart; elsewhere one runs along the
+        borders of charts only, where it costs no vertex. Everywhere if not given.
 
     Returns
     -------
     mesh : Mesh
         The same faces in the same order; no chart is mirrored.
     notes : list of str
-        Warnings of the check, and whether the time limit was hit.
+        Warnings of the check.
 
     Raises
     ------
     MeshError
-        The triangles do not fit ``atlas_size``.
+        The charts do not fit ``atlas_size``.
     """
     if len(faces) == 0:
         raise MeshError("nothing to unwrap: the mesh has no faces")
-    notes: list[str] = []
-    normals = vertex_normals(positions, faces, by_area=True)
-    try:
-        index, uvs, out_faces = _run_xatlas(positions, faces, normals, atlas_size, padding, time_limit)
-    except _Failed as failure:
-        notes.append(f"xatlas {failure}; every triangle is a chart of its own, which wastes texels and adds seams")
-        index, uvs, out_faces = triangle_charts(positions, faces, atlas_size, padding)
-    uvs[:, 1] = atlas_size - uvs[:, 1]  # xatlas winds its charts for v up
-    groups = normal_groups(positions, faces, crease_angle)
-    pairs = np.stack([out_faces.ravel(), groups.ravel()], 1)  # a vertex has one place in the atlas and one normal
+    positions = np.asarray(positions, np.float64)
+    centred = positions - positions.min(0)
+    centred /= max(float(centred.max()), 1e-300)
+    place, chart_faces, flat, chart = _laid_flat(centred, faces, segment(centred, faces, hard))
+    owner = np.zeros(len(place), np.int64)
+    owner[chart_faces] = chart[:, None]
+    uvs = pack(flat, border_loops(chart_faces), owner, atlas_size, padding)
+    uvs[:, 1] = atlas_size - uvs[:, 1]  # the charts were wound for v up
+    mesh = Mesh(positions, place, (uvs / atlas_size).astype(np.float32), chart_faces)
+    mesh = _creased(mesh, crease_angle, hard)
+    return mesh, check(mesh, atlas_size)
+
+
+def _laid_flat(positions, faces, segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Position of every vertex (V,), faces over vertices (F, 3), places in the plane (V, 2), and the chart of every face.
+
+    A chart that stretches too much or overlaps itself is parted into those that it was merged from.
+    """
+    chart, corners = segments.chart.copy(), np.zeros((*faces.shape, 2))
+    doubtful = np.ones(len(faces), bool)
+    while doubtful.any():
+        _, of = np.unique(chart[doubtful], return_inverse=True)
+        place, local = _cut(faces[doubtful], of)
+        flat: Flat = flatten(positions[place], local, of)
+        corners[doubtful] = flat.uvs[local]
+        bad = (flat.overlaps | (flat.stretch > _STRETCH)) & (np.bincount(of) > 1)
+        which = np.flatnonzero(doubtful)
+        doubtful[which[~bad[of]]] = False
+        chart = segments.parted(chart, doubtful)
+    _, chart = np.unique(chart, return_inverse=True)
+    place, local = _cut(faces, chart)
+    uvs = np.zeros((len(place), 2))
+    uvs[local] = corners
+    return place, local, uvs, chart
+
+
+def _cut(faces: np.ndarray, chart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices that belong to one chart each: their positions (V,), and the faces over them (F, 3)."""
+    n = int(faces.max()) + 1
+    place, local = np.unique(chart[:, None] * n + faces, return_inverse=True)
+    return place % n, local.reshape(-1, 3)
+
+
+def _creased(mesh: Mesh, angle: float, hard: np.ndarray | None) -> Mesh:
+    """Two normals along sharp edges that are hard or the border of a chart."""
+    _, edge_of, counts = edge_pairs(mesh.faces)
+    border = (counts[edge_of] == 1).T
+    groups = normal_groups(mesh.positions, mesh.position_faces, angle, None if hard is None else hard | border)
+    pairs = np.stack([mesh.faces.ravel(), groups.ravel()], 1)  # a vertex has one place in the atlas and one normal
     pairs, vertex = np.unique(pairs, axis=0, return_inverse=True)
     of = pairs[:, 0]
-    mesh = Mesh(
-        np.asarray(positions, np.float64),
-        index[of],
-        (uvs / atlas_size).astype(np.float32)[of],
-        vertex.reshape(-1, 3),
-        pairs[:, 1],
-    )
-    return mesh, notes + check(mesh, atlas_size)
-
-
-class _Failed(Exception):
-    """xatlas did not deliver; the message completes the sentence "xatlas …"."""
-
-
-def _run_xatlas(positions, faces, normals, size: int, padding: int, time_limit: float):
-    """Vertex origins (V,), UVs (V, 2) in texels, v up, and faces (F, 3), from a process that can be ended."""
-    centre = positions.min(0)
-    scale = 100 / max(float(np.ptp(positions, axis=0).max()), 1e-30)  # xatlas compares areas with absolute epsilons
-    attempts = int(np.clip(12_000 // len(faces), *_ATTEMPTS))
-    job = io.BytesIO()
-    np.savez(
-        job, positions=(positions - centre) * scale, faces=faces, normals=normals, size=size, padding=padding,
-        attempts=attempts,
+    return replace(
+        mesh, position_index=mesh.position_index[of], uvs=mesh.uvs[of], faces=vertex.reshape(-1, 3),
+        normal_index=pairs[:, 1],
     )  # fmt: skip
-    command = [sys.executable, str(Path(__file__).with_name("xatlas_worker.py"))]
-    try:
-        done = subprocess.run(command, input=job.getvalue(), capture_output=True, timeout=time_limit, check=False)
-    except subprocess.TimeoutExpired:
-        raise _Failed(f"took longer than {time_limit:g} s") from None
-    if done.returncode:
-        last = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"exit code {done.returncode}"]
-        raise _Failed(f"failed ({last[0]})")
-    out = np.load(io.BytesIO(done.stdout))
-    index, uvs, out_faces = out["index"].astype(np.int64), out["uvs"].astype(np.float64), out["faces"].astype(np.int64)
-    if out_faces.shape != faces.shape or not np.array_equal(index[out_faces], faces):
-        raise _Failed("changed the faces")
-    q, p = uvs[out_faces], positions[faces]
-    lost = np.abs(_cross(q[:, 1] - q[:, 0], q[:, 2] - q[:, 0])) < 1e-6
-    lost &= np.linalg.norm(area_vectors(p), axis=1) * scale**2 > 1e-6
-    if lost.any():
-        raise _Failed(f"left {int(lost.sum())} triangles without texels")
-    return index, uvs, out_faces
-
-
-def triangle_charts(positions: np.ndarray, faces: np.ndarray, size: int, padding: int):
-    """
-    Two triangles to a square cell, longest edge along the diagonal; works for any triangle set.
-
-    Returns
-    -------
-    index : ndarray, shape (3F,)
-    uvs : ndarray, shape (3F, 2), float64
-        Texels, v up.
-    faces : ndarray, shape (F, 3)
-    """
-    n = len(faces)
-    columns = int(np.ceil(np.sqrt((n + 1) // 2)))
-    cell = size / columns
-    gap = min(padding, cell / 4)
-    if cell < 4:
-        need = 4 * columns
-        raise MeshError(f"{n} triangles do not fit a {size}² atlas; use an atlas size of at least {need}")
-    p = positions[faces]
-    longest = np.linalg.norm(np.roll(p, -1, axis=1) - p, axis=2).argmax(1)  # edge k to k + 1
-    order = (longest[:, None] + np.arange(3)) % 3
-    k = np.arange(n) // 2
-    corner = np.stack([k % columns, k // columns], 1)[:, None] * cell
-    a, b = gap / 2, cell - gap / 2
-    lower = np.array([[b - gap, a], [a, b - gap], [a, a]])
-    upper = np.array([[a + gap, b], [b, a + gap], [b, b]])
-    local = np.where((np.arange(n) % 2 == 0)[:, None, None], lower, upper)
-    uvs = np.empty((n, 3, 2))
-    np.put_along_axis(uvs, order[..., None], corner + local, axis=1)
-    return faces.ravel(), uvs.reshape(-1, 2), np.arange(3 * n).reshape(n, 3)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
