@@ -32,6 +32,7 @@ ARGUMENTS = {
     "detail tessellations sphere.ply --steps 1 --views 3 --resolution 32 --set": [*SHORT, "initial.triangles=60"],
     "detail chain sphere.ply --budgets 300,100 --steps 2 --set": SHORT,
     "end_to_end --smallest sphere.ply": [],
+    "files sphere.ply:200 --size 128 --out out": [],
     "foliage --plant plant.glb --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],
     "glossy --asset sphere.ply --triangles 200 --picture glossy.jpg --views 4 --spp 1 --set": SHORT,
     "gradient_table --rounds 2 --dry --only": ["two objects, 1 layer"],

@@ -113,7 +113,8 @@ def decimated(
         notes.append(f"{why}: textured cards (--mode cards) may show them better than one surface")
         log.warning("%s", notes[-1])
     positions, faces, more = reduced(asset, triangles, keep_hidden=settings.keep_hidden, resolution=resolution)
-    mesh, charted = unwrapped(positions, faces, settings, hard_edges(asset, positions, faces))
+    hard = hard_edges(asset, positions, faces) if settings.creases == "asset" else None
+    mesh, charted = unwrapped(positions, faces, settings, hard)
     return _textured(asset, mesh, settings, seed, notes + more + charted)
 
 
@@ -139,7 +140,7 @@ def inflated(asset: Asset, settings: InitialSettings, *, seed: int = 0) -> tuple
     low, high = asset.bounds
     half = np.maximum((high - low) / 2, 0.05 * (high - low).max())
     positions, faces = sphere(budget(settings))
-    mesh, charted = unwrapped(positions * half + (low + high) / 2, faces, settings, np.zeros(faces.shape, bool))
+    mesh, charted = unwrapped(positions * half + (low + high) / 2, faces, settings)
     return _textured(asset, mesh, settings, seed, [*asset.notes, *charted])
 
 

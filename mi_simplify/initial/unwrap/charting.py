@@ -69,7 +69,7 @@ def unwrap(
     positions = np.asarray(positions, np.float64)
     centred = positions - positions.min(0)
     centred /= max(float(centred.max()), 1e-300)
-    place, chart_faces, flat, chart = _laid_flat(centred, faces, segment(centred, faces, hard))
+    place, chart_faces, flat, chart = _laid_flat(centred, faces, segment(centred, faces, crease_angle, hard))
     owner = np.zeros(len(place), np.int64)
     owner[chart_faces] = chart[:, None]
     uvs = pack(flat, border_loops(chart_faces), owner, atlas_size, padding)

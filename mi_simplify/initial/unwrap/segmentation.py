@@ -74,7 +74,9 @@ class _Edges:
     gain: np.ndarray
 
 
-def segment(positions: np.ndarray, faces: np.ndarray, hard: np.ndarray | None = None) -> Segments:
+def segment(
+    positions: np.ndarray, faces: np.ndarray, crease_angle: float = 180.0, hard: np.ndarray | None = None
+) -> Segments:
     """
     Merge faces into charts, the pairs first that save most of the seams, along sharp edges last.
 
@@ -87,15 +89,17 @@ def segment(positions: np.ndarray, faces: np.ndarray, hard: np.ndarray | None = 
     positions : ndarray, shape (P, 3)
     faces : ndarray, shape (F, 3)
         Over welded positions.
+    crease_angle : float
+        Edges that turn by more get two normals, so that a seam along them costs nothing [degrees].
     hard : ndarray, shape (F, 3), bool, optional
-        Edges, from corner k to corner k + 1, along which a seam costs nothing.
+        The only edges, from corner k to corner k + 1, that do.
     """
     n_faces = len(faces)
     corners = positions[faces]
     normal = area_vectors(corners)
     area = np.linalg.norm(normal, axis=1) / 2
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    edges = _edges(corners, faces, normal, hard)
+    edges = _edges(corners, faces, normal, crease_angle, hard)
     sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
     angles = corner_angles(positions, faces)
 
@@ -157,7 +161,7 @@ def segment(positions: np.ndarray, faces: np.ndarray, hard: np.ndarray | None = 
     return Segments(labels)
 
 
-def _edges(corners: np.ndarray, faces: np.ndarray, normal: np.ndarray, hard: np.ndarray | None) -> _Edges:
+def _edges(corners, faces, normal, crease_angle: float, hard: np.ndarray | None) -> _Edges:
     left, right = manifold_neighbours(faces)
     n = len(faces)
     start, end = faces.T.ravel(), np.roll(faces, -1, axis=1).T.ravel()
@@ -167,10 +171,12 @@ def _edges(corners: np.ndarray, faces: np.ndarray, normal: np.ndarray, hard: np.
     p = corners.transpose(1, 0, 2).reshape(-1, 3)
     q = np.roll(corners, -1, axis=1).transpose(1, 0, 2).reshape(-1, 3)
     length = np.linalg.norm(p[left] - q[left], axis=1)
-    gain = length * (0.1 + 0.9 * np.clip((1 + np.einsum("ei,ei->e", normal[i], normal[j])) / 2, 0, 1) ** 4)
+    cosine = np.einsum("ei,ei->e", normal[i], normal[j])
+    gain = length * (0.1 + 0.9 * np.clip((1 + cosine) / 2, 0, 1) ** 4)
+    crease = cosine < np.cos(np.radians(crease_angle)) - 1e-9
     if hard is not None:
-        gain = np.where(hard.T.ravel()[left] | hard.T.ravel()[right], 0, gain)
-    return _Edges(i, j, start[left], end[left], length, gain)
+        crease &= hard.T.ravel()[left] | hard.T.ravel()[right]
+    return _Edges(i, j, start[left], end[left], length, np.where(crease, 0, gain))
 
 
 def _disks(faces, label, edges, low, high, pair, apart, n) -> np.ndarray:
