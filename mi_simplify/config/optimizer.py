@@ -34,6 +34,17 @@ class LargeStepsSettings(Section):
     lambda_: float = Field(0.3, ge=0, description="Diffusion strength: 0.2 to 0.5 on a decimated mesh, 19 on a sphere.")
 
 
+class HardSoftSettings(Section):
+    """Soft outlines (HardSoftRas, Takimoto et al. 2022); lengths in halves of the film's width."""
+
+    radius: float = Field(0.01, gt=0, le=1, description="r: how far from an outline the image is soft.")
+    sigma: float | None = Field(None, gt=0, description="Width of the blend; none: a seventh of `radius`.")
+    delta: float | None = Field(None, gt=0, description="Width of the edge mask; none: `radius`.")
+    until: float = Field(
+        1.0, ge=0, le=1, description="Share of the steps that are soft; those after it are exact (`edge`)."
+    )
+
+
 class OptimizerSettings(Section):
     """The optimisation loop."""
 
@@ -72,6 +83,12 @@ class OptimizerSettings(Section):
         description="Shade every sample, or only one in each pixel: more samples then make outlines smooth, but not "
         "what textures and normals make of a pixel.",
     )
+    visibility: Literal["edge", "hard_soft"] = Field(
+        "edge",
+        description="Derivatives of what is visible: `edge`, exact, by samples on outlines; `hard_soft`, of images "
+        "whose outlines are soft, which reach farther. Opaque models only.",
+    )
+    hard_soft: HardSoftSettings = HardSoftSettings()
     rates: RatesSettings = RatesSettings()
     decay: float = Field(0.05, gt=0, le=1, description="Factor by which the rates fall over the whole run.")
     large_steps: LargeStepsSettings = LargeStepsSettings()

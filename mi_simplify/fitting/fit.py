@@ -14,7 +14,9 @@ import numpy as np
 
 from ..config import FitSettings
 from ..config.schema import ViewsSettings
+from ..errors import ConfigError
 from ..integrators.deferred import DeferredRenderer
+from ..integrators.soft.hard_soft import HardSoftRenderer
 from ..latent.latent import Latent
 from ..latent.surface import Surface
 from ..latent.textures import Textures
@@ -65,6 +67,13 @@ class Fit:
             # Three times as many bring nothing that is seen in the result: what is noisy is not the edges.
             edge_fraction=0.05,
         )  # fmt: skip
+        self._soft = None
+        if settings.optimizer.visibility == "hard_soft":
+            if transparent:
+                raise ConfigError("optimizer.visibility: hard_soft is for opaque models; take edge for this one")
+            widths = settings.optimizer.hard_soft.model_dump(exclude={"until"})
+            form = settings.latent.shading
+            self._soft = HardSoftRenderer(self.latent.topology, form=form, shadows=matched, **widths)
         self.latent.textures.cutoff = model.alpha_cutoff
         self.unpeeled = 0.0
         """Share of what :meth:`judge` saw last that lies behind more layers than were looked at."""
@@ -131,13 +140,14 @@ class Fit:
 
         self._cut(settings.opacity.steepness**progress)
         pose = self.shape.pose(views)
-        self.renderer.move(dr.detach(pose.positions))
+        renderer = self._renderer(progress)
+        renderer.move(dr.detach(pose.positions))
         surface = self.latent.evaluate(pose.positions, pose.base, pose.parameters, views)
-        frame = self.renderer.render(surface, self.latent.textures, views.under(ambient), spp=self.spp, seed=seed)
+        frame = renderer.render(surface, self.latent.textures, views.under(ambient), spp=self.spp, seed=seed)
 
         background = self._background(dr.width(frame.image), seed)
         loss, grad_image = frame_loss(frame.image + residual, reference, background, self.loss, self._coverage)
-        texel_grad = self.renderer.backward(
+        texel_grad = renderer.backward(
             frame, grad_image, surface, self.latent.textures, pose.positions, seed ^ dr.opaque(mi.UInt32, 0x5BD1E995)
         )
         del frame  # its graph holds on to the textures, which then could not be written in place
@@ -149,6 +159,11 @@ class Fit:
         self.shape.step(pose, factor)
         self.ambient.step(ambient, factor)
         return loss
+
+    def _renderer(self, progress: float) -> DeferredRenderer:
+        """What a step renders with; all that is judged is rendered exactly."""
+        soft = self._soft is not None and progress < self.settings.optimizer.hard_soft.until
+        return self._soft if soft and self._soft is not None else self.renderer
 
     def _cut(self, steepness: float) -> None:
         """How steeply a mask is cut from now on."""

@@ -163,7 +163,7 @@ class FilmRays:
         """Pixel of the batch that some of the rays belong to."""
         return film_samples(self.cameras, self.spp, self.seed, index)[0]
 
-    def weight(self, index: mi.UInt32) -> float:
+    def weight(self, index: mi.UInt32) -> float | mi.Float:
         """What some of the rays count in their pixels."""
         return 1 / self.spp
 

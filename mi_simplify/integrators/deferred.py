@@ -116,15 +116,15 @@ class DeferredRenderer:
         if self.shadows:
             hits = with_light(self.tracer.scene, surface, rays, hits)
         if self.layers == 1:
-            image, flags = _image(surface, textures, rays, hits, self.form, _gradients_wanted())
+            image, flags = _image(surface, textures, rays, hits, self.form, gradients_wanted())
         else:
-            values, flags = hit_values(surface, textures, rays, hits, self.form, _gradients_wanted())
+            values, flags = hit_values(surface, textures, rays, hits, self.form, gradients_wanted())
             image, ray = dr.zeros(mi.Float, detached.n_pixels * 4), hits.front_ray
             whole = composite(values, hits) * rays.weight(ray)
             dr.scatter_reduce(dr.ReduceOp.Add, image, whole, rays.pixel(ray), mode=dr.ReduceMode.Local)
             dr.eval(image)
         touched = None if flags is None else TouchedBlocks.of(textures, flags)
-        return RenderedBatch(_pixels(image, detached), cameras.packets, rays, hits, touched, values, unpeeled)
+        return RenderedBatch(pixels(image, detached), cameras.packets, rays, hits, touched, values, unpeeled)
 
     def backward(
         self,
@@ -221,7 +221,7 @@ class DeferredRenderer:
         jumps = self.boundary.forward(frame, surface, textures, positions, seed, tangent, rates)
         if jumps is not None:
             dr.scatter_reduce(dr.ReduceOp.Add, image, *jumps)
-        return _pixels(image, cameras)
+        return pixels(image, cameras)
 
 
 @frozen("hits")
@@ -259,11 +259,11 @@ def _interior(surface, textures, rays, hits, touched, form, grad, by_value, view
     return texels.values, dr.grad(packets), dr.grad(views) if views_move else 0.0
 
 
-def _pixels(image: mi.Float, cameras: Cameras) -> mi.Vector4f:
+def pixels(image: mi.Float, cameras: Cameras) -> mi.Vector4f:
     return dr.gather(mi.Vector4f, image, dr.arange(mi.UInt32, cameras.n_pixels))
 
 
-def _gradients_wanted() -> bool:
+def gradients_wanted() -> bool:
     """Not under ``dr.suspend_grad()``."""
     probe = mi.Float(0)
     dr.enable_grad(probe)

@@ -39,9 +39,16 @@ class EdgeRays:
         Whether hits on faces at distances ``t`` along rays of these directions lie at the edge, not before or behind.
         """
         e, i = self.samples, index // 2
-        view, depth, end0, end1 = (dr.gather(type(a), a, i) for a in (e.view, e.depth, e.end0, e.end1))
-        is_near = dr.abs(t * dr.dot(direction, self.cameras.fetch(view, 3).xyz) - depth) < AT_EDGE * depth
-        return is_near | edges.touches(face, end0, end1)
+        end0, end1 = (dr.gather(type(a), a, i) for a in (e.end0, e.end1))
+        return self.near(index, direction, t) | edges.touches(face, end0, end1)
+
+    def near(self, index: mi.UInt32, direction: mi.Vector3f, t: mi.Float) -> mi.Bool:
+        """
+        Whether distances ``t`` along rays of these directions are those of the edge.
+        """
+        e, i = self.samples, index // 2
+        view, depth = (dr.gather(type(a), a, i) for a in (e.view, e.depth))
+        return dr.abs(t * dr.dot(direction, self.cameras.fetch(view, 3).xyz) - depth) < AT_EDGE * depth
 
 
 #: A ray meets an edge where its hit is closer to it than this fraction of its depth, or on a face that touches it: a

@@ -83,8 +83,8 @@ class EdgeSet(MeshEdges):
         dr.eval(planes)
         pair = dr.arange(mi.UInt32, self.n_edges * cameras.n_views)
         view = pair // self.n_edges
-        segment = self._segment(positions, cameras, view, pair - view * self.n_edges)
-        density = self._density(planes, cameras, view, segment)
+        segment = self.segment(positions, cameras, view, pair - view * self.n_edges)
+        density = self.density(planes, cameras, view, segment)
         if image is not None:
             x, y = segment.middle
             sides = [cameras.pixel(view, x + k * segment.nx, y + k * segment.ny) for k in (-1, 1)]
@@ -101,15 +101,12 @@ class EdgeSet(MeshEdges):
         n_pairs = self.n_edges * cameras.n_views
         pair = dr.binary_search(0, n_pairs - 1, lambda i: dr.gather(mi.Float, total, i) <= target)
         view = pair // self.n_edges
-        segment = self._segment(positions, cameras, view, pair - view * self.n_edges)
+        segment = self.segment(positions, cameras, view, pair - view * self.n_edges)
         density = dr.gather(mi.Float, density, pair)
         tau = mi.Float(r1) * 2.0**-32
         iz0, iz1 = (dr.rcp(dr.maximum(z, NEAR)) for z in (segment.z0, segment.z1))
         depth = dr.rcp(dr.lerp(iz0, iz1, tau))
-        o = cameras.fetch(view, 0)
-        magnitude = dr.maximum(dr.max(dr.abs(o.xyz)), depth) / dr.maximum(depth * o.w, 1e-12)
         valid = segment.visible & (density > 0)
-        kind = dr.gather(mi.UInt32, self.kind, segment.edge)
         return EdgeSamples(
             view=view,
             end0=segment.row.x,
@@ -120,17 +117,26 @@ class EdgeSet(MeshEdges):
             nx=segment.nx,
             ny=segment.ny,
             weight=dr.select(valid, sum_ / (n_samples * density), 0),
-            step=max(cameras.width, cameras.height) * dr.maximum(_STEP_FILM, _STEP_WORLD * magnitude),
+            step=self.step(cameras, view, depth),
             depth=depth,
-            outline=self._outline(planes, cameras, view, segment, kind)[0],
+            outline=self.outline(planes, cameras, view, segment),
         )
 
-    def _density(self, planes: mi.Float, cameras: Cameras, view: mi.UInt32, segment: Segment) -> mi.Float:
+    @staticmethod
+    def step(cameras: Cameras, view: mi.UInt32, depth: mi.Float) -> mi.Float:
+        """
+        How far off an edge at a depth either side is looked at [pixels].
+        """
+        o = cameras.fetch(view, 0)
+        magnitude = dr.maximum(dr.max(dr.abs(o.xyz)), depth) / dr.maximum(depth * o.w, 1e-12)
+        return max(cameras.width, cameras.height) * dr.maximum(_STEP_FILM, _STEP_WORLD * magnitude)
+
+    def density(self, planes: mi.Float, cameras: Cameras, view: mi.UInt32, segment: Segment) -> mi.Float:
         """
         Importance of a pixel of edge length: 1 for silhouettes and open edges, less for creases, else 0.
         """
         kind = dr.gather(mi.UInt32, self.kind, segment.edge)
-        outline, front = self._outline(planes, cameras, view, segment, kind)
+        outline, front = self._seen_from(planes, cameras, view, segment, kind)
         weight = dr.select(outline, mi.Float(1), dr.select(kind == CREASE, self.crease_weight, mi.Float(0)))
         if self.solid_box is None:
             return weight
@@ -138,8 +144,15 @@ class EdgeSet(MeshEdges):
         low, high = mi.ScalarPoint3f(self.solid_box[:3]), mi.ScalarPoint3f(self.solid_box[3:])
         return dr.select(front | dr.all((o > low) & (o < high)), weight, 0)
 
+    def outline(self, planes: mi.Float, cameras: Cameras, view: mi.UInt32, segment: Segment) -> mi.Bool:
+        """
+        Whether an edge is a silhouette or open.
+        """
+        kind = dr.gather(mi.UInt32, self.kind, segment.edge)
+        return self._seen_from(planes, cameras, view, segment, kind)[0]
+
     @staticmethod
-    def _outline(
+    def _seen_from(
         planes: mi.Float, cameras: Cameras, view: mi.UInt32, segment: Segment, kind: mi.UInt32
     ) -> tuple[mi.Bool, mi.Bool]:
         """
@@ -150,9 +163,11 @@ class EdgeSet(MeshEdges):
         side0, side1 = (dr.dot(plane.xyz, o) + plane.w > 0 for plane in (plane0, plane1))
         return (side0 != side1) | (kind == OPEN), side0 | side1
 
-    def _segment(self, positions: mi.Float, cameras: Cameras, view: mi.UInt32, edge: mi.UInt32) -> Segment:
+    def segment(
+        self, positions: mi.Float, cameras: Cameras, view: mi.UInt32, edge: mi.UInt32, margin: float = 0.0
+    ) -> Segment:
         """
-        The part of an edge in front of the camera and inside the film.
+        The part of an edge in front of the camera and inside the film, or not farther than ``margin`` [pixels] from it.
         """
         row = dr.gather(mi.Vector4u, self.rows, edge)
         p = [dr.gather(mi.Point3f, positions, i) for i in (row.x, row.y)]
@@ -161,8 +176,9 @@ class EdgeSet(MeshEdges):
         local = [mi.Vector3f(*[dr.dot(q - mi.Point3f(o.xyz), axis) for axis in axes]) for q in p]
         tan_y = o.w * (cameras.height / cameras.width)
         # Distances to the planes of the view frustum, linear along the edge.
+        wide, high = o.w * (1 + 2 * margin / cameras.width), tan_y * (1 + 2 * margin / cameras.height)
         s = clipped(
-            [[q.z - NEAR, q.z * o.w - q.x, q.z * o.w + q.x, q.z * tan_y - q.y, q.z * tan_y + q.y] for q in local]
+            [[q.z - NEAR, q.z * wide - q.x, q.z * wide + q.x, q.z * high - q.y, q.z * high + q.y] for q in local]
         )
         film = []
         for fraction in s:

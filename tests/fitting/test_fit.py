@@ -1,11 +1,15 @@
 """The loop as a whole, and the promise of the export: what is fitted is what the file shows."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pytest
 from support.models import textured_sphere
 
 from mi_simplify.config import load_config
+from mi_simplify.errors import ConfigError
 from mi_simplify.export import export_model
 from mi_simplify.fitting import fit
 from mi_simplify.formats.load import load_asset
@@ -46,3 +50,22 @@ def test_a_fit_comes_closer_and_never_returns_less_than_it_began_with():
     ruinous = [*common, "evaluation.every=5", "optimizer.steps=10", "optimizer.rates.vertices=2.0"]
     assert fit(target, reference, load_config(overrides=ruinous)).model is target
     assert fit(guess, reference, load_config(overrides=[*common, "optimizer.steps=0"])).model is guess
+
+
+def test_a_fit_with_soft_outlines_moves_what_a_hard_one_cannot_reach():
+    """Soft for the first half, exact for the second; a transparent model is refused."""
+    target = textured_sphere()
+    guess = target.transformed(0.9, np.zeros(3))
+    reference = make_reference(target.as_asset(), transport="direct", spp=8)
+    config = load_config(
+        overrides=[
+            "asset=sample:relic", "optimizer.resolution=48", "optimizer.batch=2", "evaluation.resolution=48",
+            "evaluation.every=20", "optimizer.steps=40", "optimizer.rates.vertices=0.01", "reference.spp=8",
+            "optimizer.visibility=hard_soft", "optimizer.hard_soft.radius=0.05", "optimizer.hard_soft.until=0.5",
+        ]
+    )  # fmt: skip
+    result = fit(guess, reference, config)
+    radius = lambda model: np.linalg.norm(model.mesh.positions, axis=1).mean()  # noqa: E731
+    assert abs(radius(result.model) - radius(target)) < 0.5 * abs(radius(guess) - radius(target))
+    with pytest.raises(ConfigError, match="optimizer.visibility"):
+        fit(replace(guess, alpha_mode="MASK"), reference, config)

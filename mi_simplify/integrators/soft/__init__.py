@@ -1,0 +1,3 @@
+"""
+Visibility that is soft within a radius of outlines: HardSoftRas.
+"""
