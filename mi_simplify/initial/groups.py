@@ -14,6 +14,9 @@ from ..model.mesh import Mesh
 from .closest import ClosestPoints, sample_surface
 from .soup import Soup, merge
 
+#: How far from a surface a layer still lies on it [diagonals of the asset]; modellers lift decals by half of it.
+NEAR = 2e-3
+
 #: Weights of the corners at the points of a face that vote.
 _VOTES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
 
@@ -83,7 +86,7 @@ def grouped(asset: Asset, mesh: Mesh) -> Grouping:
     if len(kinds) == 1:
         of_face = np.zeros(len(mesh.faces), np.int64)
     else:
-        of_face = _voted(mesh, reference, group, len(kinds))
+        of_face = _voted(mesh, reference, soup, kinds, group)
     if any(not kind.double_sided for kind in kinds):
         kinds = _sides(kinds, of_face, mesh, reference, group)
     used, of_face = np.unique(of_face, return_inverse=True)
@@ -92,15 +95,29 @@ def grouped(asset: Asset, mesh: Mesh) -> Grouping:
     return Grouping(Groups(tuple(kinds[k] for k in used), of_face.reshape(-1)), new[of_material])
 
 
-def _voted(mesh: Mesh, reference: ClosestPoints, group: np.ndarray, n_groups: int) -> np.ndarray:
-    """Index of the group with most of the points of each face, shape (F,)."""
+def _voted(mesh: Mesh, reference: ClosestPoints, soup: Soup, kinds: tuple[Group, ...], group: np.ndarray) -> np.ndarray:
+    """
+    Index of the group with most of the points of each face, shape (F,).
+
+    Where a point is on a layer that blends, such as a decal, and an opaque surface lies right below, that has the vote:
+    the bake shows both as one.
+    """
+    blended = np.array([kind.alpha_mode == "BLEND" for kind in kinds])[group]
+    opaque = np.flatnonzero(np.array([kind.alpha_mode == "OPAQUE" for kind in kinds])[group])
+    below = ClosestPoints(soup.vertices, soup.faces[opaque]) if blended.any() and len(opaque) else None
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    votes = np.zeros((len(corners), n_groups))
+    votes = np.zeros((len(corners), len(kinds)))
     rows = np.arange(len(corners))
     for weights in _VOTES:
         found = reference.query(np.einsum("c,fci->fi", weights, corners), normals, candidates=8)
-        votes[rows, group[found.face]] += 1
+        voted = group[found.face]
+        layer = np.flatnonzero(blended[found.face])
+        if below is not None and len(layer):
+            base = below.query(found.point[layer], reference.normals[found.face[layer]], candidates=8)
+            lies_on = base.distance <= NEAR * soup.diagonal
+            voted[layer[lies_on]] = group[opaque[base.face[lies_on]]]
+        votes[rows, voted] += 1
     return votes.argmax(1)
 
 

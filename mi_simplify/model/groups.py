@@ -63,12 +63,13 @@ class Groups:
     def solid(self, least_opacity: np.ndarray) -> Groups:
         """
         The groups, those opaque whose texels turned out to be, shape (groups,), as decals on what they lie on do; what
-        then is alike becomes one.
+        then is alike becomes one. Masks are cut at one half: what a bake averages is the share of a texel that is seen.
         """
         kinds: list[Group] = []
         new = []
         for kind, least in zip(self.kinds, least_opacity, strict=True):
             kind = replace(kind, alpha_mode="OPAQUE") if least >= _OPAQUE else kind
+            kind = replace(kind, alpha_cutoff=0.5) if kind.alpha_mode == "MASK" else kind
             k = next((k for k, other in enumerate(kinds) if other.like(kind)), len(kinds))
             kinds += [kind] if k == len(kinds) else []
             new.append(k)

@@ -79,7 +79,10 @@ def test_a_glb_has_a_primitive_and_a_material_for_each_kind(guess, tmp_path):
     assert {n: m["alphaMode"] for n, m in found.items()} == {
         "wall": "OPAQUE", "ball": "OPAQUE", "glass": "BLEND", "leaf": "MASK"
     }  # fmt: skip
-    assert found["ball"]["extensions"] == COAT and found["leaf"]["alphaCutoff"] == 0.25
+    assert found["ball"]["extensions"] == COAT
+    assert (
+        found["leaf"].get("alphaCutoff", 0.5) == 0.5
+    )  # the bake has cut at the asset's 0.25; what it averages is coverage
     assert [n for n, m in found.items() if not m["doubleSided"]] == ["leaf"]
     assert set(COAT) <= set(document["extensionsUsed"])
 

@@ -8,10 +8,8 @@ import drjit as dr
 import mitsuba as mi
 
 from ...machine.meshes import MISS
+from ..groups import NEAR
 from .lookup import N_VALUES, Detail, Points, SurfacePoints
-
-#: How far from a surface a layer still lies on it [diagonals of the asset]; modellers lift decals by half of it.
-NEAR = 2e-3
 
 #: Blended layers above a surface that count, and layers below a blended one.
 LAYERS = 3
