@@ -94,3 +94,6 @@ CASES: dict[str, Callable[[], MitsubaScene]] = {
     "shadow of a directional light": lambda: _shadow(_sun(), _wall()),
     "shadow of a spot light": lambda: _shadow(_cone(), _wall()),
 }
+
+#: Those that are off by more than 1 %, for reasons not found: growth by 2.9 ± 0.8 %.
+UNSETTLED = ("shadow of a directional light",)

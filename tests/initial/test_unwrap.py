@@ -8,8 +8,10 @@ from mi_simplify.errors import MeshError
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.initial.unwrap.atlas import texel_counts
 from mi_simplify.initial.unwrap.charting import charts, check, unwrap
+from mi_simplify.initial.unwrap.segmentation import conformal_stretch
 from mi_simplify.model.mesh import Mesh
 from mi_simplify.model.tangents import face_tangents
+from mi_simplify.model.topology import area_vectors, corner_angles
 
 BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
 BOX_FACES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -142,3 +144,12 @@ def test_the_check_warns_of_few_texels_and_thin_charts():
     notes = check(strip, 512)
     assert any("100% of the surface lies in charts narrower than 4 texels" in n for n in notes)
     assert any("charts cover only 0% of the atlas" in n or "1% of the atlas" in n for n in notes)
+
+
+def test_a_closed_surface_is_no_chart():
+    """It has no border to keep its length; a tetrahedron beside one open triangle."""
+    positions = np.float64([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 0, 0], [6, 0, 0], [5, 1, 0]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2], [4, 5, 6]])
+    area = np.linalg.norm(area_vectors(positions[faces]), axis=1) / 2
+    stretch = conformal_stretch(positions, faces, np.array([0, 0, 0, 0, 1]), corner_angles(positions, faces), area)
+    assert stretch[0] == np.inf and stretch[1] == pytest.approx(1)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from ...model.topology import area_vectors, corner_angles
@@ -205,7 +206,8 @@ def _disks(faces, label, edges, low, high, pair, apart, n) -> np.ndarray:
 
 def conformal_stretch(positions, faces, chart, angles, area) -> np.ndarray:
     """
-    L2 stretch of the conformal map of every chart whose border keeps its lengths, shape (C,).
+    L2 stretch of the conformal map of every chart whose border keeps its lengths, shape (C,); infinite where a part of
+    a chart has no border, and so no such map.
     """
     n_charts = int(chart.max()) + 1
     m = int(faces.max()) + 1
@@ -217,21 +219,25 @@ def conformal_stretch(positions, faces, chart, angles, area) -> np.ndarray:
     alone = ~np.isin(a * n + b, b * n + a)
     inner = np.ones(n, bool)
     inner[a[alone]] = inner[b[alone]] = False
-    u = np.zeros(n)
+    u, closed = np.zeros(n), np.zeros(n, bool)
     if inner.any():
         curvature = 2 * np.pi - np.bincount(f.ravel(), angles.ravel(), n)
         cot = 0.5 / np.tan(np.clip(angles, 0.05, np.pi - 0.05))
         opposite = np.roll(cot, 1, axis=1).ravel()  # of the edge k to k + 1: the angle at k + 2
-        index = np.full(n, -1)
-        index[inner] = np.arange(inner.sum())
         rows, cols = np.concatenate([a, b]), np.concatenate([b, a])
         w = coo_array((np.tile(opposite, 2), (rows, cols)), shape=(n, n)).tocsr()
         w.data = np.maximum(w.data, 0.01)
         lap = coo_array((np.asarray(w.sum(1)).ravel(), (np.arange(n), np.arange(n))), shape=(n, n)).tocsr() - w
-        lap = lap[inner][:, inner].tocsc()
-        u[inner] = splu(lap, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(curvature[inner])
+        _, piece = connected_components(w, directed=False)
+        closed = ~np.isin(piece, piece[~inner])
+        inner &= ~closed
+        if inner.any():
+            lap = lap[inner][:, inner].tocsc()
+            u[inner] = splu(lap, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(curvature[inner])
     mass = np.bincount(f.ravel(), np.repeat(area, 3), n)
     total = np.bincount(owner, mass, n_charts)
     u = np.clip(u, -20, 20)
     grow, shrink = (np.bincount(owner, mass * np.exp(s * 2 * u), n_charts) / np.maximum(total, 1e-300) for s in (1, -1))
-    return np.sqrt(grow * shrink)
+    stretch = np.sqrt(grow * shrink)
+    stretch[owner[closed]] = np.inf
+    return stretch
