@@ -61,7 +61,7 @@ class Cluster:
         else:
             _require_answer(self._address)
         try:
-            self._ray.init(self._address, **options)
+            self._ray.init(self._address or "local", **options)  # not one that happens to run here
         except (ConnectionError, ValueError, RuntimeError) as error:
             where = self._address or "this machine"
             raise RuntimeUnavailable(f"no Ray cluster could be used at {where}: {error!s:.200}") from None
