@@ -166,7 +166,7 @@ LOSSES = {
     "webp": (3, 0.01),
     "jpeg": (3, 1.5),
     "ktx2": (6, 3),
-}  # ETC1S: one pair of colours a block
+}  # ETC1S has one pair of colours a block: 4.8 was measured on these gradients, which are steep for it
 
 
 @pytest.mark.parametrize("kind", LOSSES)

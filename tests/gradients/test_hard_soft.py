@@ -59,8 +59,18 @@ def test_the_gradient_is_that_of_the_image():
     check("three faces an edge", "rotation", "scale", "along normals", "one vertex", "camera position")
 
 
+#: Scenes in which outlines come so close to each other that the soft image jumps, and how far gradients are off.
+_JUMPS = {"smooth, seams": "1 to 2.6 %", "thin tube": "2 to 7 %"}
+
+
+def _expected(name: str):
+    if name not in _JUMPS:
+        return name
+    return pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=f"off by {_JUMPS[name]}: see hard_soft.py"))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cube", "open sheet", "two objects", "hides itself"])
+@pytest.mark.parametrize("name", [_expected(name) for name in scenes.NAMES])
 def test_the_gradient_in_other_scenes(name):
     check(name, "translation x", "translation y", "rotation", "scale", "along normals", "camera position")
 

@@ -25,7 +25,7 @@ class Sequence:
     rest : ndarray, shape (V, 3)
         The pose that the geometry image is made from.
     parameters : ndarray, shape (T, P), float32, optional
-        What made the poses, such as blend weights; the linear model uses them where they are given.
+        What made the poses, such as blend weights; no model reads them yet.
     notes : tuple of str
     """
 
