@@ -66,7 +66,8 @@ def test_any_mesh_equals_the_loop():
 def test_relative_starts_at_zero_and_ignores_translation():
     mesh = charted_sphere(4, noise=0.1)
     laplacian = Laplacian(mesh.position_faces, mesh.positions, True)
-    assert laplacian.loss(flat(mesh.positions))[0] == 0
+    # Sums of the rings by atomic additions: their order, and so the last bit of a float32, is not ours to fix.
+    assert laplacian.loss(flat(mesh.positions))[0] < np.finfo(np.float32).eps ** 2
     assert laplacian.loss(flat(mesh.positions + [1.0, -2, 0.5]))[0] < 1e-10
     assert laplacian.loss(flat(mesh.positions * 1.1))[0] == pytest.approx(0.01 * laplacian.absolute_start, rel=1e-3)
     # The default weight is balanced against the absolute one, which the relative form keeps.
