@@ -254,7 +254,7 @@ def chain(args) -> None:
     from mi_simplify.jobs.chain import lod_job
 
     out = Path(args.out) / f"chain_{Path(args.asset).stem}"
-    budgets = [int(n) for n in args.budgets.split(",")]
+    budgets = [{"triangles": int(n)} for n in args.budgets.split(",")]
     fixed = [f"asset={args.asset}", f"optimizer.steps={args.steps}", *args.set]
     made = lod_job(lambda keys: load_config(None, [*fixed, keys]), budgets, out, overwrite=True)
     print("| triangles | textures | file [kB] | below [px] | PSNR [dB] | FLIP | s |\n|---|---|---|---|---|---|---|")

@@ -24,7 +24,10 @@ from .options import (
     RESUME,
     TENSORBOARD,
     VARIANT,
+    ListOf,
+    Triangles,
     animation,
+    budget,
     default_folder,
     packing,
 )
@@ -32,7 +35,8 @@ from .options import (
 
 @click.command()
 @click.argument("asset")
-@click.option("--triangles", "-n", type=click.IntRange(min=4), help="Triangle budget of the result.")
+@click.option("--triangles", "-n", metavar="N|N%", type=Triangles(), help="Triangles of the result: 2000, or 30%.")
+@click.option("--vertices", type=click.IntRange(min=8), help="Vertices of the file, instead of triangles.")
 @click.option("--init", metavar="MESH", help="Start from this low-poly mesh file, or from a 'sphere'.")
 @click.option(
     "--mode",
@@ -56,14 +60,14 @@ from .options import (
 @DRY_RUN
 @QUIET
 def simplify(
-    asset, triangles, init, mode, keep_uv, keep_hidden, drop_extras, frames, bind_pose_only, out, config, settings,
+    asset, triangles, vertices, init, mode, keep_uv, keep_hidden, drop_extras, frames, bind_pose_only, out, config, settings,
     **options,
 ) -> None:  # fmt: skip
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
     an implicit surface.
     """
-    initial: dict[str, Any] = {} if triangles is None else {"triangles": triangles}
+    initial = budget(triangles, vertices)
     if init is not None:
         initial |= {"kind": "sphere", "mesh": None} if init == "sphere" else {"kind": "mesh", "mesh": init}
     if keep_uv:
@@ -82,7 +86,10 @@ def simplify(
 
 @click.command()
 @click.argument("asset")
-@click.option("--triangles", "-n", metavar="N,N,…", required=True, help="Budgets, falling, such as 9000,3000,1000.")
+@click.option(
+    "--triangles", "-n", metavar="N,N,…", type=ListOf(Triangles()), help="Budgets, falling: 9000,3000,1000 or 30%,10%."
+)
+@click.option("--vertices", metavar="N,N,…", type=ListOf(click.IntRange(min=8)), help="Vertices of the files, instead.")
 @OUT
 @click.option("--config", metavar="YAML", help="Settings of every level.")
 @click.option("--preset", metavar="NAME", help="fast, balanced or best.")
@@ -96,17 +103,17 @@ def simplify(
 @VARIANT
 @OVERWRITE
 @QUIET
-def lod(asset, triangles, out, config, preset, settings, threshold, msft_lod, usd, variant, overwrite, quiet) -> None:
+def lod(
+    asset, triangles, vertices, out, config, preset, settings, threshold, msft_lod, usd, variant, overwrite, quiet
+) -> None:
     """
     Make a chain of levels of detail from ASSET, each for the size on the screen at which it takes over.
     """
     from ..config import load_config
-    from ..errors import ConfigError
 
-    try:
-        budgets = [int(text) for text in triangles.split(",")]
-    except ValueError:
-        raise ConfigError(f"--triangles: '{triangles}' is no list of numbers such as 9000,3000,1000") from None
+    if (triangles is None) == (vertices is None):
+        raise click.UsageError("name the levels by --triangles or by --vertices, one of them")
+    budgets = [budget(n, None) for n in triangles or ()] or [budget(None, n) for n in vertices]
     chosen: dict[str, Any] = {"asset": asset} if variant is None else {"asset": asset, "variant": variant}
 
     def configure(keys):

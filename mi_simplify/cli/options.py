@@ -12,6 +12,36 @@ from typing import Any
 import click
 
 
+class Triangles(click.ParamType):
+    """
+    A budget: a number, or a share of the asset's.
+    """
+
+    name = "triangles"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See click; as the configuration keeps it."""
+        from ..config.amounts import triangles
+
+        try:
+            return triangles(value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+class ListOf(click.ParamType):
+    """
+    Values with commas between them.
+    """
+
+    def __init__(self, kind: click.ParamType):
+        self.kind, self.name = kind, f"list of {kind.name}"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """See click."""
+        return value if isinstance(value, list) else [self.kind.convert(x, param, ctx) for x in value.split(",")]
+
+
 def combined(*parts: Callable) -> Callable:
     """
     Several click options as one decorator.
@@ -74,6 +104,15 @@ DRY_RUN = click.option("--dry-run", is_flag=True, help="Say what would be done, 
 TENSORBOARD = click.option("--tensorboard", is_flag=True, help="Also log for TensorBoard, into OUT/tensorboard.")
 RESUME = click.option("--resume", is_flag=True, help="Go on with the unfinished run that OUT holds.")
 QUIET = click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+
+
+def budget(triangles: int | str | None, vertices: int | None) -> dict[str, Any]:
+    """
+    What the options say of the size of the result; each stands for the other, whatever a file says.
+    """
+    if triangles is not None and vertices is not None:
+        raise click.UsageError("--triangles and --vertices are two budgets for one thing; name one of them")
+    return {} if triangles is vertices is None else {"triangles": triangles, "vertices": vertices}
 
 
 def animation(frames: str | None, bind_pose_only: bool = False) -> dict[str, Any]:

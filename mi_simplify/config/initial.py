@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from .amounts import Triangles
 from .section import FilePath, Section, as_list
 
 
@@ -19,8 +20,15 @@ class InitialSettings(Section):
         description="Decimate the asset, put its leaves on textured cards, `auto` whichever of these suits it, start "
         "from a sphere, or take the mesh of a file.",
     )
-    triangles: int | None = Field(
-        None, ge=4, description="Triangle budget of the result; none: 3000, or as many as `mesh` has."
+    triangles: Triangles = Field(
+        None,
+        description="Triangle budget of the result, a number from 4 on or a share of the asset's such as `30%`; none: "
+        "3000, or as many as `mesh` has.",
+    )
+    vertices: int | None = Field(
+        None,
+        ge=8,
+        description="Budget of vertices as files have them, split at seams and creases, instead of `triangles`.",
     )
     mesh: FilePath | None = Field(
         None,
@@ -88,7 +96,9 @@ class InitialSettings(Section):
     @model_validator(mode="before")
     @classmethod
     def _usual_budget(cls, data: Any) -> Any:
-        if isinstance(data, dict) and data.get("triangles") is None and data.get("kind") != "mesh":
+        if not isinstance(data, dict) or data.get("kind") == "mesh":
+            return data
+        if data.get("triangles") is None and data.get("vertices") is None:
             return {**data, "triangles": 3000}
         return data
 
@@ -96,6 +106,9 @@ class InitialSettings(Section):
     def _mesh_is_named(self) -> InitialSettings:
         if (self.kind == "mesh") != (self.mesh is not None):
             raise ValueError("`kind: mesh` and `mesh: FILE` go together, only one of them is set")
+        if self.vertices is not None and (self.triangles is not None or self.kind == "mesh"):
+            other = "kind: mesh" if self.kind == "mesh" else "triangles"
+            raise ValueError(f"`vertices` and `{other}` do not go together, only one of them is the budget")
         if self.tessellations and max(self.tessellations) != self.subdivisions:
             raise ValueError("the largest of `tessellations` is `subdivisions`; set both")
         if self.source is not None and self.kind not in ("decimate", "auto"):

@@ -21,6 +21,7 @@ from ..model.model import Displacement, Model, tessellated
 from ..model.tessellation import Tessellation
 from ..model.topology import area_vectors
 from .bake.baker import bake
+from .budget import budget, settled, within_budget
 from .cards.cards import cards as card_model
 from .cards.cards import is_aggregate
 from .closest import ClosestPoints
@@ -86,6 +87,7 @@ def first_guess(
         stated = {} if settings is None else settings.model_dump(exclude_unset=True)
         named = {} if mesh is None else {"kind": "mesh", "mesh": mesh.source or mesh.name}
         settings = validated(InitialSettings, {**named, **stated, **changes})
+    settings = settled(settings, asset)
     if settings.kind == "auto":
         settings = settings.model_copy(
             update={"kind": "cards" if is_aggregate(asset, budget(settings)) else "decimate"}
@@ -107,15 +109,21 @@ def decimated(
     """
     Quadric edge collapse of the asset, unwrapped and baked; parameters, results and errors as of :func:`first_guess`.
     """
-    notes, triangles = list(asset.notes), budget(settings)
-    why = is_aggregate(asset, triangles)
+    why = is_aggregate(asset, budget(settings))
     if why:
-        notes.append(f"{why}: textured cards (--mode cards) may show them better than one surface")
-        log.warning("%s", notes[-1])
-    positions, faces, more = reduced(asset, triangles, keep_hidden=settings.keep_hidden, resolution=resolution)
-    hard = hard_edges(asset, positions, faces) if settings.creases == "asset" else None
-    mesh, charted = unwrapped(positions, faces, settings, hard)
-    return _textured(asset, mesh, settings, seed, notes + more + charted)
+        why += ": textured cards (--mode cards) may show them better than one surface"
+        log.warning("%s", why)
+
+    def made(triangles: int) -> tuple[Mesh, list[str]]:
+        positions, faces, notes = reduced(
+            asset, triangles, keep_hidden=settings.keep_hidden, resolution=resolution
+        )  # fmt: skip
+        hard = hard_edges(asset, positions, faces) if settings.creases == "asset" else None
+        mesh, charted = unwrapped(positions, faces, settings, hard)
+        return mesh, notes + charted
+
+    mesh, notes = within_budget(made, settings, asset.n_triangles)
+    return _textured(asset, mesh, settings, seed, [*asset.notes, *([why] if why else []), *notes])
 
 
 def on_cards(asset: Asset, settings: InitialSettings, *, cards: str = "mask") -> tuple[Model, list[str]]:
@@ -139,9 +147,13 @@ def inflated(asset: Asset, settings: InitialSettings, *, seed: int = 0) -> tuple
     """
     low, high = asset.bounds
     half = np.maximum((high - low) / 2, 0.05 * (high - low).max())
-    positions, faces = sphere(budget(settings))
-    mesh, charted = unwrapped(positions * half + (low + high) / 2, faces, settings)
-    return _textured(asset, mesh, settings, seed, [*asset.notes, *charted])
+
+    def made(triangles: int) -> tuple[Mesh, list[str]]:
+        positions, faces = sphere(triangles)
+        return unwrapped(positions * half + (low + high) / 2, faces, settings)
+
+    mesh, notes = within_budget(made, settings)
+    return _textured(asset, mesh, settings, seed, [*asset.notes, *notes])
 
 
 def from_mesh(asset: Asset, low: Asset, settings: InitialSettings, *, seed: int = 0) -> tuple[Model, list[str]]:
@@ -171,20 +183,6 @@ def from_mesh(asset: Asset, low: Asset, settings: InitialSettings, *, seed: int 
         crease_angle=settings.crease_angle,
     )  # fmt: skip
     return _textured(asset, mesh, settings, seed, [*asset.notes, *notes])
-
-
-def budget(settings: InitialSettings) -> int:
-    """
-    The triangles asked for.
-
-    Raises
-    ------
-    MeshError
-        None are, as settings for a mesh of the user's own have it.
-    """
-    if settings.triangles is None:
-        raise MeshError("a budget of triangles is needed: name it")
-    return settings.triangles
 
 
 def unwrapped(

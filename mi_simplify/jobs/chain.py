@@ -19,6 +19,7 @@ from .. import __version__
 from ..config import Config
 from ..config.schema import ReferenceSettings
 from ..errors import ConfigError
+from ..initial.budget import budget, settled
 from ..judging.metrics import flip, psnr
 from ..judging.screen import Screen
 from ..judging.switching import switching_size, views_of
@@ -38,6 +39,10 @@ log = logging.getLogger("mi_simplify")
 LARGEST_FILM = 512
 #: Images of a fit are no smaller than this: in fewer pixels a mesh drifts to where larger ones show that it is wrong.
 LEAST_FILM = 64
+
+_FALLING = (
+    "--triangles, --vertices: a chain needs at least two budgets, each below the one before, such as 9000,3000,1000"
+)
 
 
 @dataclass(frozen=True)
@@ -104,7 +109,7 @@ class Chain:
 
 def lod_job(
     configure: Callable[[Mapping[str, Any]], Config],
-    triangles: Sequence[int],
+    budgets: Sequence[Mapping[str, Any]],
     out: str | Path,
     progress: ProgressCallback = silent,
     *,
@@ -123,8 +128,9 @@ def lod_job(
     ----------
     configure : callable
         ``configure(overrides) -> Config``: the user's configuration with a few more keys, as nested dicts.
-    triangles : sequence of int
-        Budgets, falling.
+    budgets : sequence of mapping
+        Of every level ``triangles`` (a number, or a share of the asset's) or ``vertices``, as keys of ``initial``;
+        falling.
     out : str or Path
         Folder; level k is a run of its own in ``lod{k}``.
     progress : callable
@@ -140,10 +146,10 @@ def lod_job(
     UserError
         As :func:`.job.run_job`; or the budgets do not fall.
     """
-    if len(triangles) < 2 or any(a <= b for a, b in zip(triangles, triangles[1:], strict=False)):
-        raise ConfigError("--triangles: a chain needs at least two budgets, each below the one before: 9000,3000,1000")
+    if len(budgets) < 2:
+        raise ConfigError(_FALLING)
     start, out = time.perf_counter(), Path(out)
-    for k in range(len(triangles)):
+    for k in range(len(budgets)):
         RunFolder(out / f"lod{k}", overwrite=overwrite)  # what is in the way is said before anything is done
     formats = ["glb", *(["usd"] if "usd" in extras else [])]
     config = configure({"export": {"formats": formats}})
@@ -155,19 +161,22 @@ def lod_job(
     subject = open_subject(config)
     if subject.geometry.rig is not None:
         raise ConfigError("levels of detail take no skeletons; run simplify on this character once for each budget")
+    sizes = [budget(settled(configure({"initial": b}).initial, subject.geometry)) for b in budgets]
+    if any(a <= b for a, b in zip(sizes, sizes[1:], strict=False)):
+        raise ConfigError(_FALLING)
     frame = subject.frame
     bounds = np.stack([(corner - frame.center) * frame.scale for corner in subject.geometry.bounds])
     make_folder(out)
 
     levels: list[Level] = []
     models: list[Model] = []
-    for k, budget in enumerate(triangles):
+    for k, asked in enumerate(budgets):
         begun, folder = time.perf_counter(), out / f"lod{k}"
 
         def forward(event: Progress, k: int = k) -> None:
             progress(dataclasses.replace(event, stage=f"lod{k} {event.stage}"))
 
-        keys: dict[str, Any] = {"initial": {"triangles": budget}, "export": {"formats": formats}}
+        keys: dict[str, Any] = {"initial": dict(asked), "export": {"formats": formats}}
         if k:
             keys["initial"] |= {"source": str(folder.with_name(f"lod{k - 1}") / "model.glb")}
             forward(Progress("size"))

@@ -19,6 +19,7 @@ from ..errors import AssetError
 from ..formats.images import decode_image
 from ..formats.load import load_asset
 from ..formats.mitsuba.read import SceneAsset
+from ..initial.budget import budget, settled
 from ..initial.cards.cards import is_aggregate
 from ..initial.guess import first_guess
 from ..initial.quadrics import quadrics_only
@@ -63,6 +64,7 @@ class Subject(ABC):
     def __init__(self, config: Config, geometry: Asset):
         if config.reference.environment is not None and config.latent.ambient.kind == "auto":
             config = with_ambient(config, kind="environment", optimize=False)
+        config = config.model_copy(update={"initial": settled(config.initial, geometry)})
         self.config, self.geometry = with_kind(config, geometry), geometry
         self.frame = Frame.around(geometry.bounds)
 
@@ -228,7 +230,7 @@ def with_kind(config: Config, geometry: Asset) -> Config:
     """
     if config.initial.kind != "auto":
         return config
-    why = is_aggregate(geometry, config.initial.triangles or 0)
+    why = is_aggregate(geometry, budget(config.initial))
     log.warning("%s", f"aggregate geometry: {why}: cards" if why else "no aggregate geometry: one surface")
     kind = "cards" if why else "decimate"
     initial = config.initial.model_copy(update={"kind": kind})

@@ -87,7 +87,13 @@ def test_an_unknown_sample_is_one_line(rejected):
 
 def test_a_triangle_budget_below_four_or_above_the_input(tmp_path, rejected):
     sphere = str(bumpy_sphere(tmp_path, 10))
-    assert "'--triangles' / '-n': 3 is not in the range x>=4" in rejected("simplify", sphere, "-n", "3", "-o", "out")
+    for wrong, said in (("3", "greater than or equal to 4"), ("0%", "a share such"), ("120%", "a share such")):
+        assert said in rejected("simplify", sphere, "-n", wrong, "-o", "out")
+    assert "got '12 parsecs'" in rejected("simplify", sphere, "-n", "12 parsecs", "-o", "out")
+    assert "two budgets for one thing" in rejected("simplify", sphere, "-n", "50", "--vertices", "90", "-o", "out")
+    assert "`vertices` and `kind: mesh` do not go together" in (
+        rejected("simplify", sphere, "--init", sphere, "--vertices", "90", "-o", "out")
+    )
     assert "initial.triangles: should be greater than or equal to 4, got 3" in (
         rejected("simplify", sphere, "--set", "initial.triangles=3", "-o", "out")
     )

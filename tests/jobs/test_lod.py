@@ -144,9 +144,14 @@ def test_a_level_that_looks_like_none_says_so(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("triangles", "message"),
-    [("300", "at least two budgets"), ("60,300", "below the one before"), ("many", "no list of numbers")],
+    [
+        ("300", "at least two budgets"),
+        ("60,300", "below the one before"),
+        ("20%,150", "below the one before"),
+        ("many", "got 'many'"),
+    ],
 )
 def test_wrong_budgets_are_one_line(triangles, message, tmp_path, capsys):
-    asset = bumpy_sphere(tmp_path, 4)
+    asset = bumpy_sphere(tmp_path, 15)  # 420 triangles with an area, 450 in all
     assert cli.main(["lod", str(asset), "-n", triangles, "-o", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err and not (tmp_path / "out").exists()

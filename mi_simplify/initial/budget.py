@@ -1,0 +1,97 @@
+"""
+How many triangles a first guess gets, from what was asked for: a number, a share of the asset's, or vertices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..config import InitialSettings
+from ..config.amounts import LEAST_TRIANGLES, resolved
+from ..errors import MeshError
+from ..model.asset import Asset
+from ..model.mesh import Mesh
+
+_NEAR = 0.97
+"""Share of a budget of vertices that is near enough."""
+
+_ROUNDS = 6
+
+Made = tuple[Mesh, list[str]]
+
+
+def settled(settings: InitialSettings, asset: Asset) -> InitialSettings:
+    """
+    The settings with the budget of triangles as a number, where it was a share of the asset's.
+    """
+    if not isinstance(settings.triangles, str):
+        return settings
+    return settings.model_copy(update={"triangles": resolved(settings.triangles, asset.n_triangles)})
+
+
+def budget(settings: InitialSettings) -> int:
+    """
+    The triangles asked for; of a budget of vertices about as many as it is enough for.
+
+    Raises
+    ------
+    MeshError
+        None are, as settings for a mesh of the user's own have it; or a share is, which :func:`settled` resolves.
+    """
+    if settings.vertices is not None:
+        # A card has four vertices and two triangles; a surface with seams and creases about one a triangle.
+        return max(LEAST_TRIANGLES, settings.vertices // 2 if settings.kind == "cards" else settings.vertices)
+    if not isinstance(settings.triangles, int):
+        raise MeshError("a budget of triangles is needed: name it")
+    return settings.triangles
+
+
+def within_budget(make: Callable[[int], Made], settings: InitialSettings, most: int | None = None) -> Made:
+    """
+    The unwrapped mesh that a budget asks for.
+
+    The number of vertices of a file is known only once a mesh is unwrapped; it grows about as the triangles do. So a
+    few meshes are made, each of as many triangles as the one before suggests, until a budget of vertices is nearly
+    used.
+
+    Parameters
+    ----------
+    make : callable
+        ``make(triangles) -> mesh, notes``.
+    settings : InitialSettings
+        With ``triangles`` as a number, or ``vertices``.
+    most : int, optional
+        Triangles that there are.
+
+    Raises
+    ------
+    MeshError
+        No mesh has so few vertices.
+    """
+    if settings.vertices is None:
+        return make(budget(settings))
+    wanted, best = settings.vertices, None
+    few, many = LEAST_TRIANGLES - 1, (most or 4 * wanted) + 1  # that fit, that do not or are not there
+    triangles = min(budget(settings), many - 1)
+    for _ in range(_ROUNDS):
+        mesh, notes = make(triangles)
+        n = len(mesh.uvs)
+        if n <= wanted:
+            few = triangles
+            if best is None or n > len(best[0].uvs):
+                best = mesh, notes
+        else:
+            many = triangles
+        if _NEAR * wanted <= n <= wanted or many - few <= 1:
+            break
+        aim = round(triangles * 0.99 * wanted / n)
+        triangles = int(np.clip(aim, few + 1, many - 1))
+    if best is None:
+        raise MeshError(
+            f"a budget of {wanted} vertices is too small: {n} are needed for {triangles} triangles, seams and creases "
+            f"counted; ask for at least --vertices {n}"
+        )
+    mesh, notes = best
+    return mesh, [f"{len(mesh.faces)} triangles have {len(mesh.uvs)} vertices, of {wanted} asked for", *notes]
