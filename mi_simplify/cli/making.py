@@ -60,8 +60,8 @@ from .options import (
 @DRY_RUN
 @QUIET
 def simplify(
-    asset, triangles, vertices, init, mode, keep_uv, keep_hidden, drop_extras, frames, bind_pose_only, out, config, settings,
-    **options,
+    asset, triangles, vertices, init, mode, keep_uv, keep_hidden, drop_extras, frames, bind_pose_only, out, config,
+    settings, **options,
 ) -> None:  # fmt: skip
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
