@@ -166,7 +166,7 @@ def from_mesh(asset: Asset, low: Asset, settings: InitialSettings, *, seed: int 
         In the frame of ``asset``. With ``settings.repair`` it is mended by the asset where it is damaged.
     """
     n = low.n_triangles
-    if settings.triangles is not None and settings.triangles < n:
+    if settings.triangles is not None and budget(settings) < n:
         raise MeshError(
             f"{low.name} has {n} triangles ({_n_positions(low)} vertices), above the budget of {settings.triangles}; "
             "ask for as many, or decimate it first"
