@@ -12,12 +12,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from .ambient import AmbientSettings
 from .animation import AnimationSettings
 from .glb import GlbSettings as GlbSettings
 from .initial import InitialSettings
 from .inputs import ImagesSettings, ImplicitSettings
-from .opacity import OpacitySettings
+from .latent import AmbientSettings, OpacitySettings
 from .optimizer import LossSettings, OptimizerSettings
 from .section import FilePath as FilePath
 from .section import PathMark as PathMark
