@@ -44,6 +44,7 @@ _EXPORTS = {
     "load_asset": "formats.load",
     "load_config": "config",
     "make_reference": "scenes.references.path_traced",
+    "Optimization": "jobs.optimization",
     "open_asset": "subjects",
     "register_loss": "fitting.losses",
     "register_operation": "latent.operation",

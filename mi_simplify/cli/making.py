@@ -211,6 +211,57 @@ def bake(reference, lowpoly, keep_uv, out, atlas_size, variant, overwrite, quiet
 
 
 @click.command()
+@click.argument("initial")
+@click.option(
+    "--to",
+    "targets",
+    metavar="TARGETS",
+    required=True,
+    help="A transforms.json, an image seen by the file's camera, a model file, or package.module:function.",
+)
+@click.option(
+    "--optimize",
+    "names",
+    metavar="NAMES",
+    multiple=True,
+    required=True,
+    help="What changes, each with a rate if you like: positions,normal=0.02.",
+)
+@OUT
+@click.option("--steps", type=click.IntRange(0), help="How many; 1000.")
+@click.option("--resolution", type=click.IntRange(8, 8192), help="Side of the images [px]; 256, or that of TARGETS.")
+@click.option("--batch", type=click.IntRange(1, 1024), help="Views of a step; 8, or as many as there are.")
+@click.option("--views", type=click.IntRange(1, 1024), help="Fixed views of a model; new ones all the time without it.")
+@click.option("--camera", default="0", show_default=True, help="Of an image: number or name of the file's camera.")
+@click.option("--texture-size", type=click.IntRange(1, 8192), default=512, show_default=True, help="Of new textures.")
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Override a config key; repeatable.")
+@VARIANT
+@OVERWRITE
+@RESUME
+@QUIET
+def fit(
+    initial, targets, names, out, steps, resolution, batch, views, camera, texture_size, settings, variant, overwrite,
+    resume, quiet,
+) -> None:  # fmt: skip
+    """
+    Fit the glTF file INITIAL in place to what it should look like; all that is not named stays as it is.
+    """
+    prepare(variant)
+    from ..jobs.in_place import fit_job, named
+    from ..jobs.optimization import Optimization
+
+    optimization = Optimization(
+        initial, targets, steps=steps, resolution=resolution, batch=batch, views=views, camera=camera,
+        texture_size=texture_size, overrides=settings,
+    )  # fmt: skip
+    optimization.requires_grad(**named(names))
+    with display(quiet) as progress:
+        result = fit_job(optimization, out or default_folder(initial), progress, overwrite=overwrite, resume=resume)
+    if not quiet:
+        print(result.summary())
+
+
+@click.command()
 @click.argument("config")
 @OUT
 @click.option("--instances", type=click.IntRange(1, 1_000_000), help="How many copies, instead of what CONFIG says.")

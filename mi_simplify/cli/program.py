@@ -15,7 +15,7 @@ from ..errors import Defect, UserError
 from .about import config_schema, doctor, version
 from .batching import batch
 from .judging import compare, evaluate, inspect, render, report
-from .making import bake, forest, lod, run, simplify
+from .making import bake, fit, forest, lod, run, simplify
 from .transfer import transfer
 
 
@@ -28,8 +28,8 @@ def cli() -> None:
 
 
 for _command in (
-    simplify, run, lod, bake, forest, batch, evaluate, compare, report, render, inspect, doctor, version, config_schema,
-    transfer,
+    simplify, fit, run, lod, bake, forest, batch, evaluate, compare, report, render, inspect, doctor, version,
+    config_schema, transfer,
 ):  # fmt: skip
     cli.add_command(_command)
 

@@ -24,6 +24,9 @@ class RatesSettings(Section):
     base_color: float = Field(0.001, ge=0, description="Base colour and opacity.")
     specular: float = Field(0.001, ge=0, description="Gamma, roughness and metallic.")
     normal: float = Field(0.001, ge=0, description="Normal map.")
+    opacity: float | None = Field(None, ge=0, description="Opacity; none: as the base colour.")
+    roughness: float | None = Field(None, ge=0, description="Roughness; none: `specular`.")
+    metallic: float | None = Field(None, ge=0, description="Metalness; none: `specular`.")
     ambient: float = Field(0.01, ge=0, description="Ambient light.")
 
 

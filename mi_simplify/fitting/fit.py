@@ -80,9 +80,12 @@ class Fit:
         large_steps = settings.optimizer.large_steps
         diffusion = large_steps.lambda_ if large_steps.enabled else 0.0
         self.shape = ShapeSteps(self.latent.operation, optimize, dict(rates), diffusion)
-        color_rates = dict.fromkeys(("base_color", "opacity"), rates.base_color)
-        specular_rates = dict.fromkeys(("gamma", "roughness", "metallic"), rates.specular)
-        texel_rates = {**color_rates, **specular_rates, "normal": rates.normal}
+        texel_rates = {
+            "base_color": rates.base_color, "normal": rates.normal, "gamma": rates.specular,
+            "opacity": rates.base_color if rates.opacity is None else rates.opacity,
+            "roughness": rates.specular if rates.roughness is None else rates.roughness,
+            "metallic": rates.specular if rates.metallic is None else rates.metallic,
+        }  # fmt: skip
         self.texels = TexelAdam(
             self.latent.textures, {k: v for k, v in texel_rates.items() if k in optimize}, settings.latent.min_roughness
         )
@@ -131,7 +134,9 @@ class Fit:
         resolution = resolution_at(progress, settings.optimizer.resolution)
         batch = settings.optimizer.batch
         if self.pool.resolution != resolution:
-            self.pool.grow(max(2 * batch, REFRESH_EVERY * settings.reference.refresh), resolution)
+            # What is never renewed is there whole from the first step on.
+            renewed = REFRESH_EVERY * settings.reference.refresh or self.pool.capacity
+            self.pool.grow(max(2 * batch, renewed), resolution)
         elif index % REFRESH_EVERY == 0:
             self.pool.grow(REFRESH_EVERY * settings.reference.refresh, resolution)
         views, reference, residual = self.pool.batch(batch)
@@ -209,6 +214,12 @@ class Fit:
             unpeeled += 0.0 if frame.unpeeled is None else float(dr.sum(frame.unpeeled)[0])
         self.unpeeled = unpeeled / max(float(out[..., 3].sum()), 1e-12)
         return out
+
+    def look(self) -> np.ndarray:
+        """
+        The current state from the views that are never fitted, shape (B, H, W, 4).
+        """
+        return self._look(self.held_out.views)
 
     def preview(self) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -65,7 +65,8 @@ class Fragment:
 
     ``normal`` and ``tangent`` are interpolated, ``normal`` is unit length, ``tangent`` neither unit nor orthogonal;
     ``handedness`` is ±1; ``density`` says how far the UV moves per unit length where the surface knows it, else it is
-    1; ``geometric_normal`` is detached; ``is_back`` says that the ray meets the triangle's back.
+    1; ``cell`` is that of the textures; ``geometric_normal`` is detached; ``is_back`` says that the ray meets the
+    triangle's back.
     """
 
     p: mi.Point3f
@@ -75,6 +76,7 @@ class Fragment:
     density: mi.Float
     u: mi.Float
     v: mi.Float
+    cell: mi.UInt32
     is_back: mi.Bool
     geometric_normal: mi.Vector3f
     active: mi.Bool
@@ -136,6 +138,7 @@ def fragment(surface: Surface, face: mi.UInt32, origin: mi.Point3f, direction: m
         density=dr.abs(c[0].w * b0 + c[1].w * b1 + c[2].w * b2),  # one sign in all corners
         u=a[0].w * b0 + a[1].w * b1 + a[2].w * b2,
         v=b[0].w * b0 + b[1].w * b1 + b[2].w * b2,
+        cell=index.w,
         is_back=dr.detach(det) < 0,
         geometric_normal=dr.detach(dr.normalize(dr.cross(e1, e2))),
         active=active,

@@ -98,7 +98,7 @@ def _opacity(surface: Surface, textures: Textures, face: mi.UInt32, b: mi.Point2
     corners = list(zip(weights, (index.x, index.y, index.z), strict=True))
     u = sum(w * dr.gather(mi.Float, surface.packets, i * 12 + 3, active) for w, i in corners)
     v = sum(w * dr.gather(mi.Float, surface.packets, i * 12 + 7, active) for w, i in corners)
-    return textures.opacity(u, v, active)
+    return textures.opacity(u, v, index.w, active)
 
 
 def layered_hits(faces: mi.UInt32, layers: int, keep: mi.Bool | None = None) -> Hits | None:

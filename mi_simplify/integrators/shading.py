@@ -121,7 +121,7 @@ def shade_hits(
         # Of a whole pixel, however many samples it has: that is what viewers filter textures for.
         width = rays.cameras.pixel_width(view, direction) * dr.dot(mi.Vector3f(hit.p - origin), direction)
         level = textures.level(width * hit.density / dr.maximum(dr.abs(dr.dot(hit.normal, direction)), GRAZING))
-    footprint = textures.footprint(hit.u, hit.v, level)
+    footprint = textures.footprint(hit.u, hit.v, level, hit.cell)
     looked_up = textures.lookup(footprint)
     texels = textures.unpack(looked_up if offset is None else looked_up + offset)
     light, intensity = rays.cameras.fetch(view, 4).xyz, rays.cameras.fetch(view, 5).xyz

@@ -39,7 +39,9 @@ class Latent:
         self._model = replace(model, mesh=split_mirrored(model.mesh))
         self.operation = operation_of(self._model)
         self.topology = MeshTopology(self.operation.mesh, density=mips != "none")
-        self.textures = Textures(model.base_color, model.specular, model.normal, extended, mips, model.mips)
+        self.textures = Textures(
+            model.base_color, model.specular, model.normal, extended, mips, model.mips, model.cells
+        )
 
     def evaluate(
         self,

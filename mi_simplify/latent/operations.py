@@ -8,6 +8,7 @@ from ..errors import MeshError
 from ..model.model import Model
 from .displacement import Displaced
 from .operation import MeshOperation, register_operation
+from .placing import Placed as Placed
 from .skinning import Skinning
 from .vertex_sets import Blended
 

@@ -27,7 +27,7 @@ class Surface:
         Per vertex: position and u, unit normal and v, unit tangent and w. The sign of w is the handedness, its
         magnitude how far the UV moves per unit length, or 1.
     faces : mi.UInt32, width F·4
-        Three vertex indices a face and one unused.
+        Three vertex indices a face, and the cell of the textures that it reads.
     """
 
     packets: mi.Float
@@ -56,7 +56,8 @@ class MeshTopology:
         mesh = split_mirrored(mesh)
         self.mesh = mesh
         self.n_positions, self.n_vertices, self.n_faces = len(mesh.positions), len(mesh.uvs), len(mesh.faces)
-        faces4 = np.concatenate([mesh.faces, np.zeros((self.n_faces, 1), np.int64)], axis=1)
+        cell = np.zeros(self.n_faces, np.int64) if mesh.cell_index is None else mesh.cell_index
+        faces4 = np.concatenate([mesh.faces, cell[:, None]], axis=1)
         self.faces = upload(mi.UInt32, faces4.ravel())
         self._stencil, self.has_density = _Stencil.of(mesh, density), density
         self._normals = None if mesh.own_normals is None else upload(mi.Float, mesh.own_normals.ravel())

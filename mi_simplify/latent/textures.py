@@ -63,11 +63,13 @@ class Textures:
     coarser : sequence of dict
         Images of the coarser levels, as :meth:`images` gives them, to start custom ones from; without it those of
         ``mips.filtered_levels``.
+    cells : ndarray, shape (M, 4), optional
+        Rectangles (left, top, width, height) of the images that repeat each by itself; none: the images as a whole.
 
     Raises
     ------
     ValueError
-        Mip levels of a texture whose sides are not powers of two.
+        Mip levels of a texture whose sides are not powers of two, or of one in cells.
     """
 
     data: mi.Float
@@ -80,6 +82,8 @@ class Textures:
     steepness: mi.Float | None
     """What is stored as opacity is cut at ``cutoff`` with this slope, width 1; None: it is the opacity."""
     cutoff: float
+    cells: mi.UInt32 | None
+    """Left, top, width and height of every cell, flat."""
 
     def __init__(
         self,
@@ -89,7 +93,11 @@ class Textures:
         extended: bool = False,
         mips: str = "none",
         coarser: Sequence[dict[str, np.ndarray]] = (),
+        cells: np.ndarray | None = None,
     ):
+        if cells is not None and mips != "none":
+            raise ValueError("textures in cells have no mip levels")
+        self.cells = None if cells is None else upload(mi.UInt32, np.ravel(cells))
         self.height, self.width = base_color.shape[:2]
         self.n_channels, self.mips, self.steepness = 12 if extended else 8, mips, None
         self.cutoff = 0.5
@@ -208,7 +216,9 @@ class Textures:
         texels = length * (self.width * self.height) ** 0.5
         return dr.clip(dr.log2(dr.maximum(texels, 1e-6)), 0, self.n_levels - 1)
 
-    def footprint(self, u: mi.Float, v: mi.Float, level: mi.Float | None = None) -> Footprint:
+    def footprint(
+        self, u: mi.Float, v: mi.Float, level: mi.Float | None = None, cell: mi.UInt32 | None = None
+    ) -> Footprint:
         """
         The texels around a UV and their bilinear weights, texel centres at ``(k + .5)/N``, repeating.
 
@@ -216,9 +226,11 @@ class Textures:
         ----------
         level : mi.Float, optional
             Read between two levels, 0 the finest; needed where there are several.
+        cell : mi.UInt32, optional
+            Which of the cells; looked at only where there are some.
         """
         if self.n_levels == 1:
-            return self._around(u, v)
+            return self._around(u, v, cell=cell)
         if level is None:
             raise ValueError("a texture with mip levels is read at a level")
         fine = mi.UInt32(dr.minimum(dr.floor(dr.detach(level)), self.n_levels - 2))
@@ -226,27 +238,33 @@ class Textures:
         footprint.coarser, footprint.blend = self._around(u, v, fine + 1), level - mi.Float(fine)
         return footprint
 
-    def _around(self, u: mi.Float, v: mi.Float, level: mi.UInt32 | None = None) -> Footprint:
-        """Texels of one level, the same for all or one of each lane's own."""
-        width, height, first = self.width, self.height, 0
+    def _around(
+        self, u: mi.Float, v: mi.Float, level: mi.UInt32 | None = None, cell: mi.UInt32 | None = None
+    ) -> Footprint:
+        """Texels of one level and cell, the same for all or one of each lane's own."""
+        width, height, first, left, top = self.width, self.height, 0, 0, 0
+        if self.cells is not None:
+            assert cell is not None, "textures in cells are read in one"
+            rectangle = dr.gather(mi.Vector4u, self.cells, cell)
+            left, top, width, height = rectangle.x, rectangle.y, mi.Int32(rectangle.z), mi.Int32(rectangle.w)
         if level is not None:
             width, height = (mi.Int32(dr.maximum(mi.UInt32(n) >> level, 1)) for n in (width, height))
             first = dr.gather(mi.UInt32, self.offsets, level)
-        scale = (lambda n: n) if level is None else mi.Float
+        scale = (lambda n: n) if isinstance(width, int) else mi.Float
         x, y = dr.fma(u, scale(width), -0.5), dr.fma(v, scale(height), -0.5)
         x0, y0 = dr.floor(dr.detach(x)), dr.floor(dr.detach(y))
         ix, iy = self._wrap(mi.Int32(x0), width), self._wrap(mi.Int32(y0), height)
         jx = dr.select(ix + 1 < width, ix + 1, 0)
         jy = dr.select(iy + 1 < height, iy + 1, 0)
         of = None if level is None else mi.UInt32(width)
-        index = [self.place(mi.UInt32(r), mi.UInt32(c), of) + first for r in (iy, jy) for c in (ix, jx)]
+        index = [self.place(mi.UInt32(r) + top, mi.UInt32(c) + left, of) + first for r in (iy, jy) for c in (ix, jx)]
         return Footprint(index, x - x0, y - y0)
 
-    @staticmethod
-    def _wrap(i: mi.Int32, n: int | mi.Int32) -> mi.Int32:
-        if not isinstance(n, int):
+    def _wrap(self, i: mi.Int32, n: int | mi.Int32) -> mi.Int32:
+        if not isinstance(n, int) and self.cells is None:
             return i & (n - 1)  # of mip levels, whose sides are powers of two
-        i = i - n * mi.Int32(dr.floor(mi.Float(i) * (1 / n)))
+        per_side = 1 / n if isinstance(n, int) else dr.rcp(mi.Float(n))
+        i = i - n * mi.Int32(dr.floor(mi.Float(i) * per_side))
         # The quotient of a multiple of n may come out one off.
         return dr.select(i < 0, i + n, dr.select(i >= n, i - n, i))
 
@@ -277,13 +295,13 @@ class Textures:
             gamma=value[9] if extended else mi.Float(0),
         )
 
-    def opacity(self, u: mi.Float, v: mi.Float, active: mi.Bool | bool = True) -> mi.Float:
+    def opacity(self, u: mi.Float, v: mi.Float, cell: mi.UInt32 | None, active: mi.Bool | bool = True) -> mi.Float:
         """
         That of the finest level alone, as :meth:`unpack` has it; detached.
         """
         if not self.extended:
             return mi.Float(1)
-        data, footprint = dr.detach(self.data), self._around(u, v)
+        data, footprint = dr.detach(self.data), self._around(u, v, cell=cell)
         a, b, c, d = (dr.gather(mi.Float, data, i * self.n_channels + 8, active) for i in footprint.index)
         return self._cut(dr.lerp(dr.lerp(a, b, footprint.fx), dr.lerp(c, d, footprint.fx), footprint.fy))
 

@@ -135,6 +135,8 @@ class Part:
     more_uvs : tuple of ndarray, shape (V, 2), float32
         Further texture coordinates, which the material's :class:`Lookup` names.
     morphs : tuple of Morph
+    place : tuple of int
+        Of a glTF file: its mesh, the primitive in it, and the material, -1 for none; else empty.
     """
 
     vertices: np.ndarray
@@ -147,6 +149,7 @@ class Part:
     skin: Skin | None = None
     more_uvs: tuple[np.ndarray, ...] = ()
     morphs: tuple[Morph, ...] = ()
+    place: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

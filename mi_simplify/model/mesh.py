@@ -31,6 +31,8 @@ class Mesh:
         of one position share one.
     own_normals : ndarray, shape (G, 3), float64, optional
         Unit normals, one a normal group, where they are not those of the faces.
+    cell_index : ndarray, shape (F,), int64, optional
+        Row of :attr:`.model.Model.cells` that each face reads its textures from, with coordinates that repeat within.
     """
 
     positions: np.ndarray
@@ -39,6 +41,7 @@ class Mesh:
     faces: np.ndarray
     normal_index: np.ndarray | None = None
     own_normals: np.ndarray | None = None
+    cell_index: np.ndarray | None = None
 
     @property
     def normal_groups(self) -> np.ndarray:

@@ -116,6 +116,9 @@ class Model:
         What the faces differ in besides textures; without them all are of ``alpha_mode`` and shown from both sides.
     morphs : Morphs, optional
         Not together with ``displacement`` or ``vertex_sets``.
+    cells : ndarray, shape (M, 4), int64, optional
+        Of a model of several materials: the rectangle (left, top, width, height) of each in the images [texels], of
+        which the mesh's texture coordinates are those; without them the images are one texture.
     metadata : mapping
         Of the asset, see :attr:`.asset.Asset.metadata`.
     """
@@ -136,6 +139,7 @@ class Model:
     occlusion: np.ndarray | None = None
     groups: Groups | None = None
     morphs: Morphs | None = None
+    cells: np.ndarray | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     @property

@@ -137,6 +137,14 @@ class Views:
         }
         return Views.from_arrays(self.arrays() | light, self.width, self.height)
 
+    def lit_by_point(self, position, intensity) -> Views:
+        """
+        The same cameras under one light at a place, of a radiant intensity, each shape (3,).
+        """
+        n = len(self)
+        light = {"light_position": np.tile(position, (n, 1)), "light_intensity": np.tile(intensity, (n, 1))}
+        return Views.from_arrays(self.arrays() | light, self.width, self.height)
+
     def at(self, frame: float) -> Views:
         """
         The same views of another frame of the animation.

@@ -100,6 +100,35 @@ def read_captured(path: str | Path, *, may_be_empty: bool = False) -> Captured:
     return _Reader(path, document).read(frames, may_be_empty)
 
 
+def read_image(path: Path, to_world: np.ndarray, yfov: float, aspect: float | None) -> Captured:
+    """
+    One image that a known camera took, see :func:`read_captured`; in the light that is not said.
+
+    Parameters
+    ----------
+    to_world : ndarray, shape (4, 4)
+        +Y up.
+    yfov : float
+        Vertical field of view [radians].
+    aspect : float or None
+        Width over height that the camera says it has.
+
+    Raises
+    ------
+    AssetError
+        As there, or the image has not the camera's shape.
+    """
+    width, height = check_image(path.read_bytes(), path.name, path.name)
+    if aspect is not None and abs(width / height / aspect - 1) > 0.02:
+        raise AssetError(
+            f"{path.name}: it has {width} × {height} pixels, but the camera an aspect ratio of {aspect:.3g}; crop the "
+            "image, or correct the camera"
+        )
+    document = {"up": "y", "fl_x": height / 2 / np.tan(yfov / 2)}
+    frame = {"file_path": path.name, "transform_matrix": to_world.tolist()}
+    return _Reader(path, document).read([frame], False)
+
+
 class _Reader:
     """Frames of one file, one after the other."""
 

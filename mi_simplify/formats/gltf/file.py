@@ -127,11 +127,11 @@ class GltfFile:
         view = self.item("bufferViews", index)
         if (packed := compression(view)) is not None:
             if index not in self._decompressed:
-                self._decompressed[index] = decompressed(packed, self._slice(packed, index), index, self.name)
+                self._decompressed[index] = decompressed(packed, self.slice(packed, index), index, self.name)
             return memoryview(self._decompressed[index])
-        return self._slice(view, index)
+        return self.slice(view, index)
 
-    def _slice(self, view: dict[str, Any], index: int) -> memoryview:
+    def slice(self, view: dict[str, Any], index: int) -> memoryview:
         """The bytes of a buffer that a view, or the extension that stands for it, names."""
         data = self._buffer(view.get("buffer", 0))
         begin, length = view.get("byteOffset", 0), view["byteLength"]

@@ -175,6 +175,34 @@ def _sampled(keys: np.ndarray, values: np.ndarray, kind: str, times: np.ndarray,
     return values[k] + (values[after] - values[k]) * share[:, None]
 
 
+def scene_nodes(file: GltfFile) -> tuple[dict[int, np.ndarray], dict[int, int]]:
+    """
+    Transforms of all nodes of the default scene, by node, parents before children; and the node above each, or -1.
+
+    Raises
+    ------
+    AssetError
+        A node has two parents or lies on a loop.
+    """
+    json = file.json
+    if json.get("scenes"):
+        roots = file.item("scenes", json.get("scene", 0)).get("nodes", [])
+    else:
+        nodes = json.get("nodes", [])
+        roots = sorted(set(range(len(nodes))) - {c for n in nodes for c in n.get("children", [])})
+    world: dict[int, np.ndarray] = {}
+    parents: dict[int, int] = {}
+    todo = [(root, -1, np.eye(4)) for root in reversed(roots)]
+    while todo:
+        index, above, parent = todo.pop()
+        if index in world:
+            raise AssetError(f"{file.name}: nodes[{index}] has two parents or lies on a loop; export it again")
+        node = file.item("nodes", index)
+        world[index], parents[index] = parent @ local_matrix(node), above
+        todo += [(child, index, world[index]) for child in reversed(node.get("children", []))]
+    return world, parents
+
+
 def local_matrix(node: dict) -> np.ndarray:
     """
     A node's own transform, shape (4, 4).

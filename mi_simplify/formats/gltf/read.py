@@ -22,7 +22,7 @@ from .draco import draco_accessors
 from .file import GltfFile
 from .material import read_material
 from .morph import morph_targets, morphed
-from .motion import local_matrix, trs
+from .motion import scene_nodes, trs
 from .skeleton import Skeletons
 
 _MODES = {0: "points", 1: "lines", 2: "line loop", 3: "line strip", 4: "triangles", 5: "strip", 6: "fan"}
@@ -56,12 +56,11 @@ class _Scene:
         self.instances: list[Instance] = []
         self._of_mesh: dict[tuple, list[int]] = {}
         self._materials: dict[int | None, tuple] = {}
-        self._parents: dict[int, int] = {}
         self._carriers: list[int | None] = []
         """Of each instance, the node whose transform it follows; None where it has a skin."""
 
     def read(self, path: Path) -> Asset:
-        world = self._world()
+        world, self._parents = scene_nodes(self.file)
         self._skeletons = Skeletons(self.file, self._parents, world)
         for index, to_world in world.items():
             node = self.file.item("nodes", index)
@@ -119,25 +118,6 @@ class _Scene:
             return None
         return ambient
 
-    def _world(self) -> dict[int, np.ndarray]:
-        """Transforms of all nodes of the scene, by node, parents before children."""
-        json = self.file.json
-        if json.get("scenes"):
-            roots = self.file.item("scenes", json.get("scene", 0)).get("nodes", [])
-        else:
-            nodes = json.get("nodes", [])
-            roots = sorted(set(range(len(nodes))) - {c for n in nodes for c in n.get("children", [])})
-        world: dict[int, np.ndarray] = {}
-        todo = [(root, -1, np.eye(4)) for root in reversed(roots)]
-        while todo:
-            index, above, parent = todo.pop()
-            if index in world:
-                raise AssetError(f"{self.file.name}: nodes[{index}] has two parents or lies on a loop; export it again")
-            node = self.file.item("nodes", index)
-            world[index], self._parents[index] = parent @ local_matrix(node), above
-            todo += [(child, index, world[index]) for child in reversed(node.get("children", []))]
-        return world
-
     def _gpu_instances(self, node: dict) -> np.ndarray:
         """Placements of EXT_mesh_gpu_instancing, shape (N, 4, 4); the identity without it."""
         attributes = ((node.get("extensions") or {}).get("EXT_mesh_gpu_instancing") or {}).get("attributes") or {}
@@ -165,7 +145,7 @@ class _Scene:
                 part, _ = self._primitive(primitive, shown, own, _target_names(mesh))
                 if part is not None:
                     numbers.append(len(self.parts))
-                    self.parts.append(part)
+                    self.parts.append(replace(part, place=(mesh_index, k, primitive.get("material", -1))))
             self._of_mesh[key] = numbers
         return self._of_mesh[key]
 
@@ -247,7 +227,11 @@ class _Scene:
                 np.concatenate([file.accessor(attributes[f"{key}_{s}"])[used] for s in sets], axis=1)
                 for key in ("JOINTS", "WEIGHTS")
             )
-            part = replace(part, skin=skeletons.skin(node["skin"], which, weights, part.vertices, name))
+            part = replace(
+                part,
+                place=(node["mesh"], k, primitive.get("material", -1)),
+                skin=skeletons.skin(node["skin"], which, weights, part.vertices, name),
+            )
             self._place(self._added(part), placement, name, None)
 
     def _added(self, part: Part) -> int:
