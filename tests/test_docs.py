@@ -59,6 +59,7 @@ def workplace(finished, tmp_path, monkeypatch) -> Path:
         shutil.copy(path, tmp_path)
     (tmp_path / "model.obj").rename("my_lowpoly.obj")
     (tmp_path / "model.glb").rename("other.glb")
+    shutil.copy("other.glb", "initial.glb")
     (tmp_path / "scenes").symlink_to(ROOT / "scenes")
     (tmp_path / "models").mkdir()
     shutil.copy("statue.obj", "models")
@@ -86,7 +87,7 @@ def run(line: str) -> int:
     argv = shlex.split(line)[1:]
     if argv[0] == "simplify":
         argv = ["300" if before == "--triangles" else text for before, text in zip(["", *argv], argv, strict=False)]
-    if argv[0] in ("simplify", "run", "lod", "batch"):
+    if argv[0] in ("simplify", "fit", "run", "lod", "batch"):
         argv += [x for setting in SHORT for x in ("--set", setting)]
     if argv[0] in ("evaluate", "compare"):
         argv += ["--views", "1", "--resolution", "32", "--spp", "4"]

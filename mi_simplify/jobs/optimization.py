@@ -89,7 +89,7 @@ class Optimization:
 
     Examples
     --------
-    >>> opt = ms.Optimization("initial.glb", targets="shots/transforms.json")
+    >>> opt = ms.Optimization("initial.glb", targets="images/transforms.json")
     >>> opt.requires_grad("positions", normal=0.02)
     >>> for _ in range(1000):
     ...     opt.step()
