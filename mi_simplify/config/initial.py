@@ -8,8 +8,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from .amounts import Triangles
+from .amounts import AtlasSize, Triangles
 from .section import FilePath, Section, as_list
+
+LARGEST_ATLAS = 1024
+"""Side of the atlas that ``auto`` takes at most, and where it cannot know [texels]."""
 
 
 class InitialSettings(Section):
@@ -52,7 +55,11 @@ class InitialSettings(Section):
         description="Keep parts that cannot be seen from outside, which else go first when decimating; always so where "
         "the asset has a skeleton.",
     )
-    atlas_size: int = Field(1024, ge=16, le=8192, description="Width and height of the textures [texels].")
+    atlas_size: AtlasSize = Field(
+        "auto",
+        description="Width and height of the textures [texels], from 16 to 8192; `auto`: a power of two up to 1024, "
+        "with room for the texels of the asset's own that it shows, or for four a removed vertex, if those are more.",
+    )
     crease_angle: float = Field(
         20.0,
         ge=0,
@@ -92,6 +99,11 @@ class InitialSettings(Section):
         description="Bake textures of so many times the side and filter them down, the spread of the normals below a "
         "texel becoming roughness.",
     )
+
+    @property
+    def atlas_side(self) -> int:
+        """Side of the atlas; of ``auto``, which :func:`..initial.budget.settled` resolves, the largest."""
+        return LARGEST_ATLAS if isinstance(self.atlas_size, str) else self.atlas_size
 
     @model_validator(mode="before")
     @classmethod

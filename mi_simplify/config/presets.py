@@ -68,14 +68,15 @@ STARTS: dict[str, dict[str, Any]] = {
         "loss": {"coverage": 10.0, "laplacian": {"weight": 0.0}},
     },
     # `transport: baked` or `matched`: a path tracer is noisy everywhere, not in edges alone.
-    "path traced": {"reference": {"spp": 16, "refresh": 2}, "optimizer": _LONG},
+    # Shadows and indirect light may be finer than the asset's own textures.
+    "path traced": {"initial": {"atlas_size": 1024}, "reference": {"spp": 16, "refresh": 2}, "optimizer": _LONG},
     # Each step shows one frame of many.
     "character": {"optimizer": _LONG},
     # Smaller steps, and less smooth ones, than for a thing at rest, so that it keeps thin limbs.
     "sphere of a character": {"optimizer": {"rates": {"vertices": 0.05}, "large_steps": {"lambda_": 4.0}}},
     # Of images: their hull has the outlines, but no hollows and no colours.
     "images": {
-        "initial": {"textures": "constant", "crease_angle": 180.0},
+        "initial": {"textures": "constant", "crease_angle": 180.0, "atlas_size": 1024},
         "optimizer": {
             **_LONG,
             "resolution": [128, 256],

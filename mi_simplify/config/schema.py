@@ -205,7 +205,7 @@ class Config(FitSettings):
     def _mips_can_be_halved(self) -> Config:
         size = self.initial.atlas_size
         for key, asked in (("latent.mips", self.latent.mips != "none"), ("oversample", self.initial.oversample > 1)):
-            if asked and size & (size - 1):
+            if asked and isinstance(size, int) and size & (size - 1):
                 raise ValueError(f"`{key}` needs an `initial.atlas_size` that is a power of two, it is {size}")
         return self
 

@@ -10,9 +10,11 @@ import numpy as np
 
 from ..config import InitialSettings
 from ..config.amounts import LEAST_TRIANGLES, resolved
+from ..config.initial import LARGEST_ATLAS
 from ..errors import MeshError
 from ..model.asset import Asset
 from ..model.mesh import Mesh
+from .texels import atlas_side
 
 _NEAR = 0.97
 """Share of a budget of vertices that is near enough."""
@@ -24,11 +26,16 @@ Made = tuple[Mesh, list[str]]
 
 def settled(settings: InitialSettings, asset: Asset) -> InitialSettings:
     """
-    The settings with the budget of triangles as a number, where it was a share of the asset's.
+    The settings with numbers for what depends on the asset: a budget that was a share of its triangles, and the side of
+    the atlas.
     """
-    if not isinstance(settings.triangles, str):
-        return settings
-    return settings.model_copy(update={"triangles": resolved(settings.triangles, asset.n_triangles)})
+    if isinstance(settings.triangles, str):
+        settings = settings.model_copy(update={"triangles": resolved(settings.triangles, asset.n_triangles)})
+    if settings.atlas_size == "auto":
+        named = settings.triangles is None and settings.vertices is None  # else it is up to a mesh of the user's own
+        size = LARGEST_ATLAS if named else atlas_side(settings, asset, budget(settings))
+        settings = settings.model_copy(update={"atlas_size": size})
+    return settings
 
 
 def budget(settings: InitialSettings) -> int:

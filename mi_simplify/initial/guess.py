@@ -136,7 +136,7 @@ def on_cards(asset: Asset, settings: InitialSettings, *, cards: str = "mask") ->
         How they are transparent.
     """
     model, notes = card_model(
-        asset, budget(settings), atlas_size=settings.atlas_size, samples=_SAMPLES, output=cards
+        asset, budget(settings), atlas_size=settings.atlas_side, samples=_SAMPLES, output=cards
     )  # fmt: skip
     return replace(model, metadata=asset.metadata), _logged([*asset.notes, *notes])
 
@@ -179,7 +179,7 @@ def from_mesh(asset: Asset, low: Asset, settings: InitialSettings, *, seed: int 
     soup = clean(merge(asset))[0] if settings.repair else None
     mesh, notes = keep_mesh(
         low, reference=None if soup is None else ClosestPoints(soup.positions, soup.position_faces),
-        keep_uv=settings.keep_uv, atlas_size=settings.atlas_size, padding=settings.padding,
+        keep_uv=settings.keep_uv, atlas_size=settings.atlas_side, padding=settings.padding,
         crease_angle=settings.crease_angle,
     )  # fmt: skip
     return _textured(asset, mesh, settings, seed, [*asset.notes, *notes])
@@ -192,7 +192,7 @@ def unwrapped(
     A welded mesh with charts and creases as the settings have them, see :func:`unwrap`, and notes.
     """
     return unwrap(
-        positions, faces, atlas_size=settings.atlas_size, padding=settings.padding, crease_angle=settings.crease_angle,
+        positions, faces, atlas_size=settings.atlas_side, padding=settings.padding, crease_angle=settings.crease_angle,
         hard=hard,
     )  # fmt: skip
 
@@ -201,7 +201,7 @@ def _textured(
     asset: Asset, mesh: Mesh, settings: InitialSettings, seed: int, notes: list[str]
 ) -> tuple[Model, list[str]]:
     """The mesh, displaced where that is asked for, with the textures that are asked for."""
-    size, oversample = settings.atlas_size, settings.oversample
+    size, oversample = settings.atlas_side, settings.oversample
     model = _plain(asset, mesh, size, settings.textures, seed)
     model = replace(model, name=asset.name, metadata=asset.metadata)
     if not settings.subdivisions and settings.vertex_sets == 1 and any(part.morphs for part in asset.parts):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..config import InitialSettings
+from ..config.initial import LARGEST_ATLAS
 from ..model.asset import Asset
 from ..model.model import Model
 from .bake.baker import bake
@@ -16,10 +16,9 @@ from .soup import merge
 from .unwrap.charting import unwrap
 
 #: What the configuration has where nothing is said.
-_DEFAULTS = InitialSettings()
 
 
-def quadrics_only(asset: Asset, triangles: int, *, atlas_size: int = _DEFAULTS.atlas_size) -> tuple[Model, list[str]]:
+def quadrics_only(asset: Asset, triangles: int, *, atlas_size: int = LARGEST_ATLAS) -> tuple[Model, list[str]]:
     """
     What a user would take instead: fast-simplification, colours carried over by closest point, no normal map.
 

@@ -46,7 +46,7 @@ def footprint(config: Config, asset: Asset | None = None) -> dict[str, int]:
     fit, judged, pixels = config.optimizer, config.evaluation, max(config.optimizer.resolution) ** 2
     out = {
         "": _BASE,
-        "initial.atlas_size": _PER_TEXEL * config.initial.atlas_size**2,
+        "initial.atlas_size": _PER_TEXEL * config.initial.atlas_side**2,
         "optimizer.batch": _PER_SAMPLE * fit.batch * fit.spp * pixels if fit.steps else 0,
         "reference.pool": _PER_POOLED[config.reference.transport] * config.reference.pool * pixels if fit.steps else 0,
         "evaluation.resolution": _PER_JUDGED * judged.views * (3 + judged.baseline) * judged.resolution**2,

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..config import SAMPLE_PREFIX, Config
+from ..config.initial import LARGEST_ATLAS
 from ..config.presets import STARTS
 from ..errors import AssetError
 from ..formats.images import decode_image
@@ -149,7 +150,7 @@ class Subject(ABC):
     def _quadrics(self, triangles: int) -> Model:
         """The subject's geometry, decimated by others."""
         target = self.frame.normalised(self.geometry)
-        return quadrics_only(target, triangles, atlas_size=self.config.initial.atlas_size)[0]
+        return quadrics_only(target, triangles, atlas_size=self.config.initial.atlas_side)[0]
 
     def lit_as_fitted(self, views: Views) -> Views:
         """
@@ -247,8 +248,10 @@ def with_ambient(config: Config, **changes: Any) -> Config:
 
 def judged_as_fitted(config: Config) -> Config:
     """
-    The configuration of a subject that only its own renderer can show, so that it cannot be lit anew by another.
+    The configuration of a subject that only its own renderer can show, so that it cannot be lit anew by another; nor
+    does its geometry tell how fine its look is.
     """
+    config = config.started({"initial": {"atlas_size": LARGEST_ATLAS}})
     return config.model_copy(update={"evaluation": config.evaluation.model_copy(update={"light": "fitted"})})
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...config import InitialSettings
+from ...config.initial import LARGEST_ATLAS
 from ...errors import MeshError
 from ...machine.runtime import ensure_variant
 from ...model.asset import Asset
@@ -19,11 +19,10 @@ from .crossing import crossing_cards
 from .layout import Layout, lay_out
 
 #: What the configuration has where nothing is said.
-_DEFAULTS = InitialSettings()
 
 
 def cards(
-    asset: Asset, triangles: int, *, atlas_size: int = _DEFAULTS.atlas_size, samples: int = 3, output: str = "mask"
+    asset: Asset, triangles: int, *, atlas_size: int = LARGEST_ATLAS, samples: int = 3, output: str = "mask"
 ) -> tuple[Model, list[str]]:
     """
     Quads that cover an asset's clusters, colour, opacity and normal baked into one atlas.

@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ...config import InitialSettings
+from ...config.initial import LARGEST_ATLAS
 from ...errors import MeshError
 from ...model.asset import Asset
 from ...model.mesh import Mesh
@@ -32,7 +33,7 @@ def keep_mesh(
     *,
     reference: ClosestPoints | None = None,
     keep_uv: bool = False,
-    atlas_size: int = _DEFAULTS.atlas_size,
+    atlas_size: int = LARGEST_ATLAS,
     padding: int = _DEFAULTS.padding,
     crease_angle: float = _DEFAULTS.crease_angle,
 ) -> tuple[Mesh, list[str]]:
