@@ -152,7 +152,7 @@ def run(config, out, settings, **options) -> None:
 def _run(
     config, out, overrides, *,
     preset, variant, fixed_shape, normal_only, skip, time_limit, judged, memory_limit, compress, textures, quality,
-    no_tangents, tensorboard, dry_run, overwrite, resume, quiet,
+    max_bytes, no_tangents, tensorboard, dry_run, overwrite, resume, quiet,
 ) -> None:  # fmt: skip
     from ..config import load_config, with_fixed
     from ..config.presets import FULL_EVALUATION
@@ -160,7 +160,9 @@ def _run(
     from ..progress import seconds_of
 
     chosen: dict[str, Any] = {} if variant is None else {"variant": variant}
-    packed = packing(compress=compress, textures=textures, quality=quality, no_tangents=no_tangents)
+    packed = packing(
+        compress=compress, textures=textures, quality=quality, max_bytes=max_bytes, no_tangents=no_tangents
+    )  # fmt: skip
     chosen["export"] = ({"tensorboard": True} if tensorboard else {}) | ({"glb": packed} if packed else {})
     if time_limit is not None:
         chosen["optimizer"] = {"time": seconds_of(time_limit)}

@@ -92,6 +92,11 @@ PACKING = combined(
         help="Images of the GLB file; ktx2 needs the program basisu.",
     ),
     click.option("--quality", type=click.IntRange(1, 100), help="Of images of colours that are not PNG; 90."),
+    click.option(
+        "--max-bytes",
+        metavar="SIZE",
+        help="Of the GLB file, such as 500kB: format, quality and sizes are chosen by what pictures lose.",
+    ),
     click.option("--no-tangents", is_flag=True, help="Leave tangents out of the GLB file: 16 bytes a vertex."),
 )
 KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from .amounts import Bytes
 from .section import Section
 
 
@@ -45,6 +46,12 @@ class GlbSettings(Section):
     )
     normal_size: int | None = Field(None, ge=4, le=8192, description="The same, of the normal map.")
     orm_size: int | None = Field(None, ge=4, le=8192, description="The same, of roughness and metalness.")
+
+    max_bytes: Bytes = Field(
+        None,
+        description="Largest size of the file, such as `500kB` or `1.5MB`: what stands above and nobody has stated is "
+        "chosen by what pictures of the model lose. None: no limit.",
+    )
 
     @property
     def is_lossless(self) -> bool:

@@ -193,6 +193,12 @@ class Config(FitSettings):
     export: ExportSettings = ExportSettings()
 
     @model_validator(mode="after")
+    def _bytes_are_those_of_a_glb(self) -> Config:
+        if self.export.glb.max_bytes is not None and "glb" not in self.export.formats:
+            raise ValueError("`export.glb.max_bytes` is about the GLB file, which `export.formats` leaves out")
+        return self
+
+    @model_validator(mode="after")
     def _vertex_sets_are_seen(self) -> Config:
         if self.initial.vertex_sets > 1:
             if self.optimizer.least_resolution is None:

@@ -93,6 +93,34 @@ class PackedTextures:
     has_occlusion: bool = False
 
 
+class TexturePacker:
+    """
+    Encodes the textures of one model, in as many ways as are tried: what was made once is kept.
+
+    Parameters
+    ----------
+    model : Model
+    """
+
+    def __init__(self, model: Model):
+        self._chain = _Chain(model)
+        self._found, self._factors = _constants(self._chain.finest)
+        self._made: dict[tuple, Image] = {}
+
+    def pack(self, settings: GlbSettings) -> PackedTextures:
+        """
+        See :func:`pack_textures`.
+        """
+        images = {name: self._image(name, channels, settings) for name, channels in self._found.items()}
+        return replace(self._factors, images=images)
+
+    def _image(self, name: str, channels: Channels, settings: GlbSettings) -> Image:
+        key = (name, settings.textures, _limit(settings, name), _quality(settings, name))
+        if key not in self._made:
+            self._made[key] = _encoded(self._chain.levels(name, channels), settings, name)
+        return self._made[key]
+
+
 def pack_textures(model: Model, settings: GlbSettings = GlbSettings()) -> PackedTextures:
     """
     Encode the textures of a model.
@@ -107,10 +135,16 @@ def pack_textures(model: Model, settings: GlbSettings = GlbSettings()) -> Packed
     OutputError
         A size was asked for that is none of the atlas's mip levels; or the encoder of KTX2 is missing.
     """
-    chain = _Chain(model)
-    found, out = _constants(chain.finest)
-    images = {name: _encoded(chain.levels(name, channels), settings, name) for name, channels in found.items()}
-    return replace(out, images=images)
+    return TexturePacker(model).pack(settings)
+
+
+def _limit(settings: GlbSettings, name: str) -> int | None:
+    """Largest side of an image."""
+    return getattr(settings, _SIZES.get(name, "color_size"))
+
+
+def _quality(settings: GlbSettings, name: str) -> int:
+    return settings.data_quality if name in _DATA else settings.quality
 
 
 def _constants(textures: Textures) -> tuple[dict[str, Channels], PackedTextures]:
@@ -191,7 +225,7 @@ class _Chain:
 
 def _encoded(chain: Iterator[np.ndarray], settings: GlbSettings, name: str) -> Image:
     """The image at its size, in its format, with its further levels where the format holds any."""
-    limit = getattr(settings, _SIZES.get(name, "color_size"))
+    limit = _limit(settings, name)
     image = next(chain)
     while limit is not None and max(image.shape[:2]) > limit:
         smaller = next(chain, None)
@@ -204,7 +238,7 @@ def _encoded(chain: Iterator[np.ndarray], settings: GlbSettings, name: str) -> I
         image = smaller
     height, width = image.shape[:2]
     data = name in _DATA
-    quality = settings.data_quality if data else settings.quality
+    quality = _quality(settings, name)
     if settings.textures == "ktx2":
         mips = [np.repeat(x[..., None], 3, axis=2) if x.ndim == 2 else x for x in (image, *chain)]
         content, mime = encode_basis(mips, quality, data=data), "image/ktx2"

@@ -34,6 +34,7 @@ from ..record.record import Record
 from ..record.stopwatch import Stopwatch
 from ..report.folder import report_folder
 from ..subjects import Subject, open_asset, open_subject
+from .byte_budget import require_room, with_packing, within_bytes
 from .footprint import check_footprint
 from .names import require_names
 
@@ -61,8 +62,10 @@ class Result:
         """
         A few lines for a person: where it is, how large, how much better than the first guess.
         """
-        seconds = self.figures["run"]["seconds"]["total"]
-        return "\n".join([*figure_rows(self.figures), f"{self.folder}: done in {seconds:.0f} s"])
+        run = self.figures["run"]
+        seconds = run["seconds"]["total"]
+        told = [run[key] for key in ("packing",) if key in run]
+        return "\n".join([*figure_rows(self.figures), *told, f"{self.folder}: done in {seconds:.0f} s"])
 
     @property
     def alarm(self) -> str | None:
@@ -144,6 +147,8 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
     else:
         progress(Progress("first guess"))
         guess, notes = subject.guess()
+    if config.export.glb.max_bytes is not None:
+        require_room(frame.restored(guess), config.export.glb, _facts(config))
     reference = subject.reference()
     clock.lap("first guess")
     with folder.opened():
@@ -159,6 +164,11 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         progress(Progress("export"))
         if folder.checkpoint.is_dir():
             interrupt.left_behind = f"{folder.path} holds the finished fit; the same command with --resume judges it"
+        packed = None
+        if config.export.glb.max_bytes is not None:
+            packed = within_bytes(model, config.export.glb, extras=_facts(config), form=config.latent.shading)
+            config = with_packing(config, packed.settings)
+            record = replace(record, config=config)
         written = record.export(model)  # before it is judged, whatever happens there
         clock.lap("export")
         result = replace(load_asset(written), ambient=model.ambient)  # formats but GLB do not carry it
@@ -172,6 +182,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         run = {
             **_facts(config), "variant": config.variant, "notes": notes, "seconds": clock.seconds,
             "self_check": {"file": written.name, "psnr": round(shown, 2)}, **subject.facts(fitted.model),
+            **({} if packed is None else {"packing": packed.note}),
         }  # fmt: skip
         comparison = replace(comparison, figures={**comparison.figures, "run": run})
         with folder.staged() as stage:

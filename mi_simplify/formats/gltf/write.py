@@ -62,15 +62,21 @@ def write_glb(
     return write_atomic(path, glb_bytes(model, extras=extras, settings=settings))
 
 
-def glb_bytes(model: Model, *, extras: dict | None = None, settings: GlbSettings = GlbSettings()) -> bytes:
+def glb_bytes(
+    model: Model,
+    *,
+    extras: dict | None = None,
+    settings: GlbSettings = GlbSettings(),
+    textures: PackedTextures | None = None,
+) -> bytes:
     """
-    The content of the file that :func:`write_glb` writes.
+    The content of the file that :func:`write_glb` writes, with textures that are packed already where they are given.
     """
     container = Container(settings.compress == "meshopt")
     if not len(model.mesh.faces):
         raise MeshError("nothing to export: the mesh has no faces")
     model, origin = recentred(_at_rest(model))
-    textures = pack_textures(model, settings)
+    textures = textures or pack_textures(model, settings)
     primitive = write_primitives(container, model, settings, tangents=settings.tangents and "normal" in textures.images)
     kinds = model.face_groups.kinds
     painted = _material(container, textures)
