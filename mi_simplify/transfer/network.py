@@ -22,6 +22,9 @@ from .dataset import Dataset
 #: Channels at each halving of the image, from full resolution down.
 WIDTHS = {"small": (16, 32, 64, 96), "paper": (40, 80, 160, 320, 480)}
 
+#: Levels of larger sides have no values of their own for each pixel, which would outweigh all the convolutions.
+MOST_PLACES = 64
+
 
 @dataclass(frozen=True)
 class Training:
@@ -60,25 +63,30 @@ def _torch() -> Any:
     return torch
 
 
-def make_unet(size: str, n_coefficients: int) -> Any:
+def make_unet(size: str, n: int, n_coefficients: int) -> Any:
     """
     A ``torch.nn.Module``: images (B, 6, n, n) of positions and normals to (B, K, n, n).
 
     Encoder and decoder of residual blocks (two 3 × 3 convolutions, batch normalisation, ReLU), halved by strided
-    convolutions, doubled by transposed ones, with skip connections between (Ronneberger et al. 2015).
+    convolutions, doubled by transposed ones, with skip connections between (Ronneberger et al. 2015). Ours: what goes
+    in and out is relative to its mean over the training frames, pixel by pixel, since a face moves little beside its
+    own size; and each level of at most 64² pixels adds learned values of its own to every pixel (``place``), because a
+    convolution does not know which part of the surface it is looking at.
     """
     if size not in WIDTHS:
         raise ConfigError(f"size: one of {', '.join(WIDTHS)} expected, got '{size}'")
+    if n % 2 ** (len(WIDTHS[size]) - 1):
+        raise ConfigError(f"n: a multiple of {2 ** (len(WIDTHS[size]) - 1)} expected, got {n}; bake it again")
     torch: Any = _torch()
     nn: Any = torch.nn
 
     class Block(nn.Module):
         def __init__(self, width: int):
             super().__init__()
-            layers = [nn.Conv2d(width, width, 3, padding=1, bias=False), nn.BatchNorm2d(width), nn.ReLU()]
-            self.inside = nn.Sequential(
-                *layers, nn.Conv2d(width, width, 3, padding=1, bias=False), nn.BatchNorm2d(width)
-            )
+            layers = []
+            for _ in range(2):  # slow averages: a batch of five is few
+                layers += [nn.Conv2d(width, width, 3, padding=1, bias=False), nn.BatchNorm2d(width, momentum=0.02)]
+            self.inside = nn.Sequential(*layers[:2], nn.ReLU(), *layers[2:])
 
         def forward(self, x: Any) -> Any:
             return torch.relu(x + self.inside(x))
@@ -87,22 +95,37 @@ def make_unet(size: str, n_coefficients: int) -> Any:
         def __init__(self, widths: tuple[int, ...]):
             super().__init__()
             pairs = list(zip(widths[:-1], widths[1:], strict=True))
+            self.register_buffer("mean", torch.zeros(6, n, n))
+            self.register_buffer("spread", torch.ones(6, 1, 1))
+            self.register_buffer("mean_out", torch.zeros(n_coefficients, n, n))
+            self.register_buffer("spread_out", torch.ones(()))
             self.first = nn.Conv2d(6, widths[0], 3, padding=1)
+            sides = [(n // 2**level,) * 2 for level in range(len(widths))]
+            sides = [side if side[0] <= MOST_PLACES else (1, 1) for side in sides]
+            values = [0.1 * torch.randn(width, *side) for width, side in zip(widths, sides, strict=True)]
+            self.place = nn.ParameterList(map(nn.Parameter, values))
             self.down = nn.ModuleList([nn.Conv2d(a, b, 3, stride=2, padding=1) for a, b in pairs])
             self.encode = nn.ModuleList([Block(b) for _, b in pairs])
             self.up = nn.ModuleList([nn.ConvTranspose2d(b, a, 2, stride=2) for a, b in pairs])
             self.decode = nn.ModuleList([Block(a) for a, _ in pairs])
             self.last = nn.Conv2d(widths[0], n_coefficients, 3, padding=1)
 
+        def normalise(self, x: Any, y: Any) -> None:
+            """Take means and spreads from images of the training frames."""
+            self.mean.copy_(x.mean(0))
+            self.spread.copy_((x - self.mean).square().mean((0, 2, 3)).sqrt().clamp(min=1e-6)[:, None, None])
+            self.mean_out.copy_(y.mean(0))
+            self.spread_out.copy_((y - self.mean_out).square().mean().sqrt().clamp(min=1e-6))
+
         def forward(self, x: Any) -> Any:
-            x = torch.relu(self.first(x))
+            x = torch.relu(self.first((x - self.mean) / self.spread) + self.place[0])
             skips = []
-            for down, encode in zip(self.down, self.encode, strict=True):
+            for down, place, encode in zip(self.down, self.place[1:], self.encode, strict=True):
                 skips.append(x)
-                x = encode(torch.relu(down(x)))
+                x = encode(torch.relu(down(x) + place))
             for up, decode in reversed(list(zip(self.up, self.decode, strict=True))):
                 x = decode(up(x) + skips.pop())
-            return self.last(x)
+            return self.mean_out + self.spread_out * self.last(x)
 
     return UNet(WIDTHS[size])
 
@@ -140,15 +163,13 @@ def train(
     """
     torch = _torch()
     n, k = data.n, data.transfer.shape[2]
-    if n % 2 ** (len(WIDTHS[training.size]) - 1 if training.size in WIDTHS else 0):
-        raise ConfigError(f"n: a multiple of {2 ** (len(WIDTHS[training.size]) - 1)} expected, got {n}; bake it again")
     torch.manual_seed(training.seed)
-    net = make_unet(training.size, k)
+    net = make_unet(training.size, n, k)
     order = round(k**0.5) - 1
     lost = unshadowed(data.normals, order, data.albedo) - data.transfer
-    scale = float(lost[data.training].std())
-    x, y = _images(data.positions, data.normals, n), torch.from_numpy(_planes(lost / scale, n))
-    x = torch.from_numpy(x)
+    x, y = (torch.from_numpy(images) for images in (_images(data.positions, data.normals, n), _planes(lost, n)))
+    net.normalise(x[data.training], y[data.training])
+    scale = float(net.spread_out)
     rng = np.random.default_rng(training.seed)
     frames = data.training
     aside = frames[:: max(2, len(frames) // max(1, len(frames) // 10))]
@@ -175,7 +196,7 @@ def train(
         net.train()
         order_of = rng.permutation(used)
         for batch in np.array_split(order_of, max(1, len(used) // training.batch)):
-            loss = (net(x[batch]) - y[batch]).abs().mean()
+            loss = (net(x[batch]) - y[batch]).abs().mean() / scale
             adam.zero_grad()
             loss.backward()
             adam.step()
@@ -186,7 +207,7 @@ def train(
         if value < best:
             best, since = value, 0
             best_state = {key: v.clone() for key, v in net.state_dict().items()}
-        progress(Progress("train", epoch, training.epochs, loss=value * scale))
+        progress(Progress("train", epoch, training.epochs, loss=value))
         if epoch % 10 == 0:
             saved = {
                 "net": net.state_dict(), "adam": adam.state_dict(), "epoch": epoch, "best": best, "since": since,
@@ -195,12 +216,12 @@ def train(
             write_atomic(state_path, functools.partial(torch.save, saved))
     net.load_state_dict(best_state)
     net.eval()
-    _export(net, out, n, {"n": n, "scale": scale, "albedo": data.albedo, "order": order, **asdict(training)})
+    _export(net, out, n, {"n": n, "albedo": data.albedo, "order": order, **asdict(training)})
     parameters = sum(p.numel() for p in net.parameters())
     return {
         "epochs": epoch,
         "seconds": spent + time.monotonic() - start,
-        "loss": best * scale,
+        "loss": best,
         "parameters": parameters,
     }
 
@@ -251,7 +272,7 @@ class Network:
             line = (str(error).splitlines() or ["?"])[0][:200]
             raise AssetError(f"{path}: a network of 'transfer train' expected, it cannot be read ({line})") from None
         self.n, self.order = int(facts["n"]), int(facts["order"])
-        self._scale, self._albedo = float(facts["scale"]), float(facts["albedo"])
+        self._albedo = float(facts["albedo"])
 
     def __call__(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """
@@ -268,7 +289,7 @@ class Network:
         images = _images(positions, normals, self.n)
         lost = np.concatenate([self._session.run(None, {"images": images[k : k + 1]})[0] for k in range(len(images))])
         flat = lost.reshape(len(lost), lost.shape[1], -1).transpose(0, 2, 1)
-        return unshadowed(normals, self.order, self._albedo) - self._scale * flat
+        return unshadowed(normals, self.order, self._albedo) - flat
 
 
 def _images(positions: np.ndarray, normals: np.ndarray, n: int) -> np.ndarray:

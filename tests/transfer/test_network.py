@@ -21,8 +21,8 @@ def data():
 
 
 def test_the_paper_s_size_has_as_many_parameters_as_the_paper():
-    assert sum(p.numel() for p in make_unet("paper", 16).parameters()) == pytest.approx(11.8e6, rel=0.15)
-    assert sum(p.numel() for p in make_unet("small", 16).parameters()) < 1e6
+    assert sum(p.numel() for p in make_unet("paper", 256, 16).parameters()) == pytest.approx(11.8e6, rel=0.15)
+    assert sum(p.numel() for p in make_unet("small", 64, 16).parameters()) < 1e6
 
 
 @pytest.mark.slow
@@ -42,7 +42,7 @@ def test_what_cannot_be_is_said(data, tmp_path):
     with pytest.raises(AssetError, match="nothing to resume"):
         train(data, tmp_path / "none.onnx", Training(), resume=True)
     with pytest.raises(ConfigError, match="one of small, paper expected"):
-        make_unet("large", 16)
+        make_unet("large", 16, 16)
     (tmp_path / "bad.onnx").write_bytes(b"bad")
     with pytest.raises(AssetError, match="a network of 'transfer train' expected"):
         Network(tmp_path / "bad.onnx")

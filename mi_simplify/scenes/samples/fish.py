@@ -1,5 +1,5 @@
 """
-The sample ``fish``: one closed surface on a spine of nine joints, swimming, one stroke of its tail in 40 frames.
+The sample ``fish``: one closed surface on a spine of nine joints; it swims, now faster, now slower, and turns.
 
 It faces +Z; back and tail fin are part of the body, so that the surface has genus 0.
 """
@@ -14,7 +14,7 @@ from ...model.asset import Asset, Instance, Material
 from ...model.rig import Rig, Skin
 from .parametric import paint, smoothstep, surface
 
-N_FRAMES, RATE = 120, 24.0
+N_FRAMES, RATE = 240, 24.0
 
 #: Joints of the spine and where they lie, from head to tail.
 _SPINE = np.linspace(0.75, -0.85, 9)
@@ -56,13 +56,15 @@ def _rig() -> Rig:
     bind = np.tile(np.eye(4), (n, 1, 1))
     bind[:, 2, 3] = _SPINE
     poses = np.empty((N_FRAMES, n, 4, 4))
-    t = np.arange(N_FRAMES) / 40.0
-    turn_of_clip = 2 * np.pi * np.arange(N_FRAMES) / N_FRAMES
+    clip = 2 * np.pi * np.arange(N_FRAMES) / N_FRAMES  # everything repeats after it
+    stroke = 7 * clip + 1.5 * np.sin(2 * clip)
+    effort = 1 + 0.6 * np.sin(3 * clip)
     for j in range(n):
         local = np.tile(np.eye(4), (N_FRAMES, 1, 1))
         local[:, 2, 3] = _SPINE[j] - (_SPINE[j - 1] if j else 0)
-        swing = np.radians(3 + 2.6 * j) * np.sin(2 * np.pi * t - 0.55 * j) + np.radians(9) * np.sin(turn_of_clip)
-        bend = np.radians(6) * np.sin(turn_of_clip - 0.3 * j)
+        turn = np.radians(13) * np.sin(clip + 1.2 * np.sin(2 * clip) - 0.15 * j)
+        swing = np.radians(2 + 1.8 * j) * effort * np.sin(stroke - 0.55 * j) + turn
+        bend = np.radians(8) * np.sin(2 * clip - 0.3 * j)
         local[:, :3, :3] = _turns(swing, bend)
         poses[:, j] = local if not j else poses[:, j - 1] @ local
     names = tuple(f"spine_{j}" for j in range(n))
