@@ -15,6 +15,7 @@ from .console import display, prepare
 from .options import (
     DRY_RUN,
     FRAMES,
+    GOALS,
     JOB,
     KEEP_UV,
     OUT,
@@ -30,6 +31,7 @@ from .options import (
     budget,
     default_folder,
     packing,
+    sized,
 )
 
 
@@ -37,6 +39,7 @@ from .options import (
 @click.argument("asset")
 @click.option("--triangles", "-n", metavar="N|N%", type=Triangles(), help="Triangles of the result: 2000, or 30%.")
 @click.option("--vertices", type=click.IntRange(min=8), help="Vertices of the file, instead of triangles.")
+@GOALS
 @click.option("--init", metavar="MESH", help="Start from this low-poly mesh file, or from a 'sphere'.")
 @click.option(
     "--mode",
@@ -60,14 +63,15 @@ from .options import (
 @DRY_RUN
 @QUIET
 def simplify(
-    asset, triangles, vertices, init, mode, keep_uv, keep_hidden, drop_extras, frames, bind_pose_only, out, config,
-    settings, **options,
+    asset, triangles, vertices, psnr, flip, screen_size, init, mode, keep_uv, keep_hidden, drop_extras, frames,
+    bind_pose_only, out, config, settings, **options,
 ) -> None:  # fmt: skip
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
     an implicit surface.
     """
-    initial = budget(triangles, vertices)
+    size = sized(triangles, vertices, psnr=psnr, flip=flip, screen_size=screen_size)
+    initial = size["initial"]
     if init is not None:
         initial |= {"kind": "sphere", "mesh": None} if init == "sphere" else {"kind": "mesh", "mesh": init}
     if keep_uv:
@@ -78,7 +82,7 @@ def simplify(
         if init is not None:
             raise click.UsageError(f"--mode {mode} makes a first guess of its own, so it does not go with --init")
         initial["kind"] = mode
-    chosen = {"asset": asset, "initial": initial, "animation": animation(frames, bind_pose_only)}
+    chosen = {"asset": asset, **size, "animation": animation(frames, bind_pose_only)}
     if drop_extras:
         chosen["export"] = {"metadata": False}
     _run(config, out or default_folder(asset), [*settings, chosen], **options)
@@ -88,6 +92,9 @@ def simplify(
 @click.argument("asset")
 @click.option(
     "--triangles", "-n", metavar="N,N,…", type=ListOf(Triangles()), help="Budgets, falling: 9000,3000,1000 or 30%,10%."
+)
+@click.option(
+    "--levels", type=click.Choice(["auto"]), help="Find the budgets: the least for sizes on the screen that halve."
 )
 @click.option("--vertices", metavar="N,N,…", type=ListOf(click.IntRange(min=8)), help="Vertices of the files, instead.")
 @OUT
@@ -104,16 +111,23 @@ def simplify(
 @OVERWRITE
 @QUIET
 def lod(
-    asset, triangles, vertices, out, config, preset, settings, threshold, msft_lod, usd, variant, overwrite, quiet
-) -> None:
+    asset, triangles, vertices, levels, out, config, preset, settings, threshold, msft_lod, usd, variant, overwrite,
+    quiet,
+) -> None:  # fmt: skip
     """
     Make a chain of levels of detail from ASSET, each for the size on the screen at which it takes over.
     """
     from ..config import load_config
 
-    if (triangles is None) == (vertices is None):
-        raise click.UsageError("name the levels by --triangles or by --vertices, one of them")
-    budgets = [budget(n, None) for n in triangles or ()] or [budget(None, n) for n in vertices]
+    budgets, finest = None, None
+    if levels is not None:
+        if vertices is not None or len(triangles or ()) > 1:
+            raise click.UsageError("--levels auto finds the budgets; beside it --triangles names the finest one alone")
+        finest = triangles[0] if triangles else None
+    elif (triangles is None) == (vertices is None):
+        raise click.UsageError("name the levels by --triangles or by --vertices, one of them, or let --levels auto")
+    else:
+        budgets = [budget(n, None) for n in triangles or ()] or [budget(None, n) for n in vertices]
     chosen: dict[str, Any] = {"asset": asset} if variant is None else {"asset": asset, "variant": variant}
 
     def configure(keys):
@@ -126,7 +140,7 @@ def lod(
     with display(quiet) as progress:
         chain = lod_job(
             configure, budgets, out or default_folder(asset.removeprefix("sample:")), progress,
-            threshold=threshold, extras=extras, overwrite=overwrite,
+            finest=finest, threshold=threshold, extras=extras, overwrite=overwrite,
         )  # fmt: skip
     if not quiet:
         print(chain.summary())

@@ -80,6 +80,13 @@ JOB = combined(
     MEMORY,
     VARIANT,
 )
+GOALS = combined(
+    click.option("--psnr", type=float, help="Instead of a budget: the least model of so many dB on held-out views."),
+    click.option("--flip", type=float, help="Instead of a budget: the least model of at most this FLIP."),
+    click.option(
+        "--screen-size", type=float, help="Instead of a budget: the least model that looks the same at so many pixels."
+    ),
+)
 PACKING = combined(
     click.option(
         "--compress",
@@ -118,6 +125,21 @@ def budget(triangles: int | str | None, vertices: int | None) -> dict[str, Any]:
     if triangles is not None and vertices is not None:
         raise click.UsageError("--triangles and --vertices are two budgets for one thing; name one of them")
     return {} if triangles is vertices is None else {"triangles": triangles, "vertices": vertices}
+
+
+def sized(triangles: int | str | None, vertices: int | None, **goals: float | None) -> dict[str, dict[str, Any]]:
+    """
+    What the options say of the size of the result and of what it should reach, as sections of the configuration; each
+    stands for all others, whatever a file says.
+    """
+    named, initial = [name for name, value in goals.items() if value is not None], budget(triangles, vertices)
+    if len(named) + bool(initial) > 1:
+        all_named = [*(["vertices" if triangles is None else "triangles"] if initial else []), *named]
+        a, b = (f"--{name.replace('_', '-')}" for name in all_named[:2])
+        raise click.UsageError(f"{a} and {b} both say how large the result is; name one of them")
+    if not named:
+        return {"initial": initial} | ({"goal": dict.fromkeys(goals)} if initial else {})
+    return {"initial": {"triangles": None, "vertices": None}, "goal": goals}
 
 
 def animation(frames: str | None, bind_pose_only: bool = False) -> dict[str, Any]:

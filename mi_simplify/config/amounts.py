@@ -7,7 +7,9 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field, model_validator
+
+from .section import Section
 
 LEAST_TRIANGLES = 4
 """A closed surface has no fewer."""
@@ -70,6 +72,27 @@ def _atlas_size(value: Any) -> Any:
     if value == "auto" or (isinstance(value, int) and not isinstance(value, bool) and 16 <= value <= 8192):
         return value
     raise ValueError(f"should be auto, or a number of texels from 16 to 8192, got {value!r:.40}")
+
+
+class GoalSettings(Section):
+    """The result by what it should reach instead of by its size, at most one of these: the least model that does."""
+
+    psnr: float | None = Field(None, gt=0, lt=100, description="PSNR on held-out views, at least [dB].")
+    flip: float | None = Field(None, gt=0, lt=1, description="FLIP on held-out views, at most.")
+    screen_size: float | None = Field(
+        None,
+        ge=16,
+        le=2048,
+        description="Diameter of the bounding sphere on a screen [pixels] at which nobody sees a difference: FLIP over "
+        "what is covered below 0.04, without aliasing; the model is prefiltered for that size.",
+    )
+
+    @model_validator(mode="after")
+    def _is_one(self) -> GoalSettings:
+        given = [name for name, value in self if value is not None]
+        if len(given) > 1:
+            raise ValueError(f"`{given[0]}` and `{given[1]}` are two goals; name one of them")
+        return self
 
 
 Triangles = Annotated[int | str | None, BeforeValidator(triangles)]

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from .amounts import GoalSettings
 from .animation import AnimationSettings
 from .glb import GlbSettings as GlbSettings
 from .initial import InitialSettings
@@ -189,8 +190,20 @@ class Config(FitSettings):
     implicit: ImplicitSettings = ImplicitSettings()
     images: ImagesSettings = ImagesSettings()
     initial: InitialSettings = InitialSettings()
+    goal: GoalSettings = GoalSettings()
     animation: AnimationSettings = AnimationSettings()
     export: ExportSettings = ExportSettings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _budget_or_goal(cls, data: Any) -> Any:
+        initial, goal = ((data.get(name) if isinstance(data, dict) else None) or {} for name in ("initial", "goal"))
+        if isinstance(initial, Mapping) and isinstance(goal, Mapping):
+            sizes = [f"initial.{name}" for name in ("triangles", "vertices") if initial.get(name) is not None]
+            goals = [f"goal.{name}" for name, value in goal.items() if value is not None]
+            if sizes and goals:
+                raise ValueError(f"`{sizes[0]}` and `{goals[0]}` both say how large the result is; name one of them")
+        return data
 
     @model_validator(mode="after")
     def _bytes_are_those_of_a_glb(self) -> Config:

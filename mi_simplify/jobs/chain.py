@@ -17,12 +17,13 @@ import numpy as np
 
 from .. import __version__
 from ..config import Config
+from ..config.amounts import resolved
 from ..config.schema import ReferenceSettings
 from ..errors import ConfigError
 from ..initial.budget import budget, settled
 from ..judging.metrics import flip, psnr
 from ..judging.screen import Screen
-from ..judging.switching import switching_size, views_of
+from ..judging.switching import film_of, switching_size, views_of
 from ..machine.files import make_folder, write_atomic
 from ..machine.runtime import ensure_variant
 from ..model.model import Model, tessellated
@@ -31,14 +32,11 @@ from ..record.output import RunFolder
 from ..scenes.references.reference import Reference
 from ..scenes.views import held_out_views
 from ..subjects import open_subject
+from .budget_search import level_budgets
+from .goals import LARGEST_FILM
 from .job import run_job
 
 log = logging.getLogger("mi_simplify")
-
-#: A level that is to be seen in larger images than this is an ordinary run: one sample shows it well [pixels].
-LARGEST_FILM = 512
-#: Images of a fit are no smaller than this: in fewer pixels a mesh drifts to where larger ones show that it is wrong.
-LEAST_FILM = 64
 
 _FALLING = (
     "--triangles, --vertices: a chain needs at least two budgets, each below the one before, such as 9000,3000,1000"
@@ -109,10 +107,11 @@ class Chain:
 
 def lod_job(
     configure: Callable[[Mapping[str, Any]], Config],
-    budgets: Sequence[Mapping[str, Any]],
+    budgets: Sequence[Mapping[str, Any]] | None,
     out: str | Path,
     progress: ProgressCallback = silent,
     *,
+    finest: int | str | None = None,
     threshold: float = 0.04,
     extras: Sequence[str] = (),
     overwrite: bool = False,
@@ -130,7 +129,9 @@ def lod_job(
         ``configure(overrides) -> Config``: the user's configuration with a few more keys, as nested dicts.
     budgets : sequence of mapping
         Of every level ``triangles`` (a number, or a share of the asset's) or ``vertices``, as keys of ``initial``;
-        falling.
+        falling. None: :func:`.budget_search.level_budgets` finds them.
+    finest : int, optional
+        Triangles of the finest level, where the others are to be found.
     out : str or Path
         Folder; level k is a run of its own in ``lod{k}``.
     progress : callable
@@ -146,10 +147,10 @@ def lod_job(
     UserError
         As :func:`.job.run_job`; or the budgets do not fall.
     """
-    if len(budgets) < 2:
+    if budgets is not None and len(budgets) < 2:
         raise ConfigError(_FALLING)
     start, out = time.perf_counter(), Path(out)
-    for k in range(len(budgets)):
+    for k in range(len(budgets or (None,))):
         RunFolder(out / f"lod{k}", overwrite=overwrite)  # what is in the way is said before anything is done
     formats = ["glb", *(["usd"] if "usd" in extras else [])]
     config = configure({"export": {"formats": formats}})
@@ -161,6 +162,11 @@ def lod_job(
     subject = open_subject(config)
     if subject.geometry.rig is not None:
         raise ConfigError("levels of detail take no skeletons; run simplify on this character once for each budget")
+    if budgets is None:
+        most = None if finest is None else resolved(finest, subject.geometry.n_triangles)
+        budgets = [{"triangles": n} for n in level_budgets(subject, most, progress)]
+        for k in range(len(budgets)):
+            RunFolder(out / f"lod{k}", overwrite=overwrite)
     sizes = [budget(settled(configure({"initial": b}).initial, subject.geometry)) for b in budgets]
     if any(a <= b for a, b in zip(sizes, sizes[1:], strict=False)):
         raise ConfigError(_FALLING)
@@ -183,7 +189,7 @@ def lod_job(
             guess, _ = open_subject(configure(keys)).guess()
             largest = levels[-1].screen_size or np.inf
             size, _ = switching_size(models[-1], guess, bounds, threshold, largest=largest, form=config.latent.shading)
-            film = _film(size, bounds, config)
+            film = film_of(size, bounds, config.views)
             if film <= LARGEST_FILM:
                 keys["optimizer"] = {"target_resolution": film}
         settings = configure(keys)
@@ -231,13 +237,6 @@ def _level(
         flip_above={str(size): round(x, 5) for size, x in flip_above.items()},
         psnr=0.0, flip=0.0, seconds=round(seconds, 1),
     )  # fmt: skip
-
-
-def _film(size: float, bounds: np.ndarray, config: Config) -> int:
-    """Side of a fit's images that show a bounding sphere of at least this diameter [pixels], in tiles of four."""
-    radius = np.linalg.norm(bounds[1] - bounds[0]) / 2
-    share = radius / (config.views.distance * np.tan(np.radians(config.views.fov) / 2))
-    return int(max(4 * round(size / share / 4), LEAST_FILM))
 
 
 def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray, config: Config) -> list[Level]:

@@ -34,6 +34,7 @@ from ..record.stopwatch import Stopwatch
 from ..report.html import report_page
 from ..scenes.references.reference import Reference
 from ..subjects import Subject, open_subject
+from .budget_search import find_budget
 from .footprint import check_footprint, footprint
 from .names import require_names
 
@@ -103,6 +104,8 @@ def forecast(
         require_tensorboard()
     config = config.model_copy(update={"variant": ensure_variant(config.variant)})
     clock = Stopwatch()
+    found = find_budget(config, progress)
+    config = config if found is None else found.config
     progress(Progress("load", message=config.asset))
     subject = open_subject(config)
     asset, config, frame = subject.geometry, subject.config, subject.frame

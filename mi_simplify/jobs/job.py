@@ -4,6 +4,7 @@ The main job: from an asset to a small textured model in files, with the figures
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from ..judging.verdict import larger, unlike
 from ..machine.files import write_atomic
 from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
-from ..model.model import Model
+from ..model.model import Model, tessellated
 from ..progress import Progress, ProgressCallback, silent
 from ..record.checkpoint import Checkpoint
 from ..record.events import require_tensorboard
@@ -34,9 +35,13 @@ from ..record.record import Record
 from ..record.stopwatch import Stopwatch
 from ..report.folder import report_folder
 from ..subjects import Subject, open_asset, open_subject
+from .budget_search import Found, find_budget, with_stored_budget
 from .byte_budget import require_room, with_packing, within_bytes
 from .footprint import check_footprint
+from .goals import goal_of
 from .names import require_names
+
+log = logging.getLogger("mi_simplify")
 
 
 @dataclass(frozen=True)
@@ -64,7 +69,7 @@ class Result:
         """
         run = self.figures["run"]
         seconds = run["seconds"]["total"]
-        told = [run[key] for key in ("packing",) if key in run]
+        told = [run[key] for key in ("goal", "packing") if key in run]
         return "\n".join([*figure_rows(self.figures), *told, f"{self.folder}: done in {seconds:.0f} s"])
 
     @property
@@ -136,6 +141,14 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
     """The stages in their order, with the variant set and the folder free."""
     clock = Stopwatch()
     progress(Progress("load", message=config.asset))
+    found = None
+    if folder.resume and goal_of(config.goal) is not None:
+        config = with_stored_budget(config, folder.path / "config.yaml")
+    else:
+        found = find_budget(config, progress)
+    if found is not None:
+        config = found.config
+        clock.lap("budget")
     subject = open_subject(config)
     config, frame = subject.config, subject.frame
     check_footprint(config, subject.geometry)
@@ -183,6 +196,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             **_facts(config), "variant": config.variant, "notes": notes, "seconds": clock.seconds,
             "self_check": {"file": written.name, "psnr": round(shown, 2)}, **subject.facts(fitted.model),
             **({} if packed is None else {"packing": packed.note}),
+            **({} if found is None else {"goal": _verdict(found, subject, comparison.figures, fitted.model)}),
         }  # fmt: skip
         comparison = replace(comparison, figures={**comparison.figures, "run": run})
         with folder.staged() as stage:
@@ -192,6 +206,15 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         folder.finished()
     _require_likeness(shown, written, config.export.glb)
     return Result(folder.path, guess, model, comparison.figures)
+
+
+def _verdict(found: Found, subject: Subject, figures: dict, model: Model) -> str:
+    """What has come of a goal, for a person; a warning where it is missed."""
+    reached = found.goal.reached(subject, figures, model)
+    line, is_reached = found.goal.verdict(reached, tessellated(model).n_triangles)
+    if not is_reached:
+        log.warning("%s", line)
+    return line
 
 
 def _displayed(subject: Subject) -> dict[str, Asset]:

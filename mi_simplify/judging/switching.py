@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..config.schema import ViewsSettings
 from ..model.model import Model
 from ..scenes.views import Views, held_out_views
 from .metrics import COVERED, flip_maps
@@ -16,6 +17,9 @@ from .screen import Screen
 
 #: Sides of the square images that are compared [pixels], which the bounding sphere of the model just fills.
 SIZES = tuple(int(4 * round(2 ** (k / 2) / 4)) for k in range(20, 5, -1))
+
+#: Images of a fit are no smaller than this: in fewer pixels a mesh drifts to where larger ones show that it is wrong.
+LEAST_FILM = 64
 
 #: Images of a larger side are costly [pixels].
 LARGE = 512
@@ -26,6 +30,22 @@ def views_of(size: int, n_views: int) -> int:
     How many images of a side to look at: half as many of large ones, which have pixels enough.
     """
     return n_views if size <= LARGE else max(1, n_views // 2)
+
+
+def film_of(size: float, bounds: np.ndarray, views: ViewsSettings) -> int:
+    """
+    Side of the images of a fit that show the bounding sphere of a box at least so large [pixels], in tiles of four.
+
+    Parameters
+    ----------
+    size : float
+        Diameter of the sphere [pixels].
+    bounds : ndarray, shape (2, 3)
+        In the normalised frame.
+    """
+    radius = np.linalg.norm(bounds[1] - bounds[0]) / 2
+    share = radius / (views.distance * np.tan(np.radians(views.fov) / 2))
+    return int(max(4 * round(size / share / 4), LEAST_FILM))
 
 
 def difference(above: Screen, level: Screen, views: Views) -> float:

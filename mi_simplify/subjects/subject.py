@@ -4,12 +4,13 @@ What a job asks of its input, whatever that is.
 
 from __future__ import annotations
 
+import copy
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -118,6 +119,14 @@ class Subject(ABC):
         judging, progress
             As in :func:`mi_simplify.judging.compare_assets`.
         """
+
+    def under(self, config: Config) -> Self:
+        """
+        The same subject, not read again, under a configuration that differs in what is not its own.
+        """
+        other = copy.copy(self)
+        other.config = config
+        return other
 
     def _first_guess(self) -> tuple[Model, list[str]]:
         """The first guess from the subject's geometry."""
