@@ -17,6 +17,7 @@ from mi_simplify.judging import switching
 
 ARGUMENTS = {
     "batch --nothing 20 --out out": [],
+    "bytes sphere.ply:200 --shares 8 --out out --set": SHORT,
     "characters sample:walker --triangles 300 --out out --set": [
         *SHORT,
         "animation.frames=0:4",
@@ -35,6 +36,7 @@ ARGUMENTS = {
     "files sphere.ply:200 --size 128 --out out": [],
     "foliage --plant plant.glb --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],
     "glossy --asset sphere.ply --triangles 200 --picture glossy.jpg --views 4 --spp 1 --set": SHORT,
+    "goals sphere.ply:32 --factors .9 --out out --set": [*SHORT, "initial.atlas_size=64"],
     "gradient_table --rounds 2 --dry --only": ["two objects, 1 layer"],
     "gradients --json --steps 2 --row 1 32 200 64": [],
     "quality --assets . --judge judge.py --out out --docs . --only spot,-500 --set": SHORT,

@@ -91,14 +91,14 @@ class Goal(ABC):
         return f"{value:.4f}"
 
 
-_TOLERANCE = 0.05
+_TOLERANCE = 0.025
 """Doublings of the triangles by which a goal may be missed unsaid: the noise of figures."""
 
 
 class Psnr(Goal):
     """PSNR on held-out views, at least so many dB."""
 
-    name, slope, gain = "--psnr", 1.6, 0.3
+    name, slope, gain = "--psnr", 4.0, 0.35
 
     @property
     def wanted(self) -> float:
@@ -124,7 +124,7 @@ class Psnr(Goal):
 class Flip(Goal):
     """FLIP on held-out views, at most so much; the scale is its negative logarithm of base 2."""
 
-    name, slope, gain = "--flip", 0.45, 0.0
+    name, slope, gain = "--flip", 0.7, 0.0
 
     @property
     def wanted(self) -> float:
@@ -153,7 +153,7 @@ class ScreenSize(Flip):
     this diameter on the screen [pixels].
     """
 
-    name, slope, gain = "--screen-size", 0.45, 0.0
+    name, slope, gain = "--screen-size", 0.7, 0.0
 
     @property
     def wanted(self) -> float:
