@@ -21,7 +21,8 @@ from PIL import Image, ImageDraw
 import mi_simplify as ms
 from mi_simplify.config import InitialSettings
 from mi_simplify.initial.creases import hard_edges
-from mi_simplify.initial.guess import reduced, unwrapped
+from mi_simplify.initial.guess import unwrapped
+from mi_simplify.initial.reduce.reduced import reduced
 from mi_simplify.initial.unwrap.atlas import texel_counts
 from mi_simplify.initial.unwrap.charting import charts
 from mi_simplify.model.mesh import Mesh

@@ -50,6 +50,8 @@ from .options import (
 )
 @KEEP_UV
 @click.option("--keep-hidden", is_flag=True, help="Keep parts that cannot be seen from outside.")
+@click.option("--keep-nodes", is_flag=True, help="Keep all nodes of a glTF file, not only the animated ones.")
+@click.option("--keep", "kept", metavar="NAME", multiple=True, help="Keep the nodes of this name; repeatable.")
 @click.option("--drop-extras", is_flag=True, help="Leave out the copyright notice and the extras of the asset's file.")
 @FRAMES
 @click.option("--bind-pose-only", is_flag=True, help="Fit a character in its bind pose alone.")
@@ -63,8 +65,8 @@ from .options import (
 @DRY_RUN
 @QUIET
 def simplify(
-    asset, triangles, vertices, psnr, flip, screen_size, init, mode, keep_uv, keep_hidden, drop_extras, frames,
-    bind_pose_only, out, config, settings, **options,
+    asset, triangles, vertices, psnr, flip, screen_size, init, mode, keep_uv, keep_hidden, keep_nodes, kept,
+    drop_extras, frames, bind_pose_only, out, config, settings, **options,
 ) -> None:  # fmt: skip
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
@@ -78,6 +80,10 @@ def simplify(
         initial["keep_uv"] = True
     if keep_hidden:
         initial["keep_hidden"] = True
+    if keep_nodes:
+        initial["keep_nodes"] = "all"
+    if kept:
+        initial["keep"] = list(kept)
     if mode != "mesh":
         if init is not None:
             raise click.UsageError(f"--mode {mode} makes a first guess of its own, so it does not go with --init")

@@ -60,6 +60,15 @@ class InitialSettings(Section):
         description="Width and height of the textures [texels], from 16 to 8192; `auto`: a power of two up to 1024, "
         "with room for the texels of the asset's own that it shows, or for four a removed vertex, if those are more.",
     )
+    keep_nodes: Literal["auto", "all", "none"] = Field(
+        "auto",
+        description="Nodes of a glTF file that stay nodes, each with its name, transform and animation and a mesh of "
+        "its own: those that are animated, `all` of them, or none, where animated ones become joints of a skeleton. "
+        "Instances of a mesh stay instances, which are simplified once.",
+    )
+    keep: Annotated[tuple[str, ...], BeforeValidator(as_list)] = Field(
+        (), description="Names of nodes that stay nodes besides."
+    )
     crease_angle: float = Field(
         20.0,
         ge=0,
@@ -125,6 +134,13 @@ class InitialSettings(Section):
             raise ValueError("the largest of `tessellations` is `subdivisions`; set both")
         if self.source is not None and self.kind not in ("decimate", "auto"):
             raise ValueError("`source` is what `kind: decimate` reduces, which is not set")
+        if self.keep_nodes == "all" or self.keep:
+            if self.keep_nodes == "none":
+                raise ValueError("`keep` names nodes to keep, `keep_nodes: none` keeps none; leave one of them out")
+            if self.kind != "decimate" or self.source is not None or self.subdivisions or self.vertex_sets > 1:
+                raise ValueError(
+                    "`keep_nodes` and `keep` go with `kind: decimate`, without `source`, `subdivisions`, `vertex_sets`"
+                )
         if self.keep_uv and self.mesh is None:
             raise ValueError("`keep_uv` is about the texture coordinates of `mesh: FILE`, which is not set")
         return self

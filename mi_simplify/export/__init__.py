@@ -14,6 +14,7 @@ from ..formats.obj.write import write_obj as write_obj
 from ..machine.files import make_folder
 from ..model.asset import Asset
 from ..model.model import Model
+from ..model.nodes.placing import expanded
 from ..registry import Registry
 from .mips import write_mips
 from .own_normals import with_own_normals
@@ -76,6 +77,7 @@ def export_model(
 
     Mip levels of the model's own go into ``mips/``: what these formats carry is the finest one alone.
     A displaced model is written as the fine mesh that it stands for; base mesh and map go into ``displacement/``. The
+    Nodes are kept in GLB files alone: others have one mesh with all instances. The
     fine mesh's normal map belongs to its own normals, the base mesh's to those that all tessellations share.
 
     Parameters
@@ -116,7 +118,7 @@ def export_model(
         if name == "glb":
             write_glb(model, path, extras=extras, settings=glb)
         else:
-            WRITERS[name].write(model, path, extras)
+            WRITERS[name].write(expanded(model), path, extras)
     return paths
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from ..config import InitialSettings, validated
 from ..errors import MeshError
-from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
 from ..model.groups import overall
 from ..model.mesh import Mesh
@@ -20,6 +19,7 @@ from ..model.mips import coarser, filtered_levels, halved
 from ..model.model import Displacement, Model, tessellated
 from ..model.tessellation import Tessellation
 from ..model.topology import area_vectors
+from ..model.tree import Nodes
 from .bake.baker import bake
 from .budget import budget, settled, within_budget
 from .cards.cards import cards as card_model
@@ -28,7 +28,9 @@ from .closest import ClosestPoints
 from .creases import hard_edges
 from .groups import grouped
 from .morphs import carried_morphs
+from .nodes import kept_nodes
 from .reduce.cleanup import clean
+from .reduce.reduced import reduced, reduced_apart
 from .repair.kept import keep_mesh
 from .soup import merge
 from .sphere import sphere
@@ -113,17 +115,25 @@ def decimated(
     if why:
         why += ": textured cards (--mode cards) may show them better than one surface"
         log.warning("%s", why)
+    kept = kept_nodes(asset, settings)
+    shown = asset if kept is None else kept.single
+    tried: list[tuple[Mesh, Nodes | None]] = []
 
     def made(triangles: int) -> tuple[Mesh, list[str]]:
-        positions, faces, notes = reduced(
-            asset, triangles, keep_hidden=settings.keep_hidden, resolution=resolution
-        )  # fmt: skip
-        hard = hard_edges(asset, positions, faces) if settings.creases == "asset" else None
+        if kept is None:
+            positions, faces, notes = reduced(
+                asset, triangles, keep_hidden=settings.keep_hidden, resolution=resolution
+            )  # fmt: skip
+        else:
+            positions, faces, of_position, notes = reduced_apart(asset, kept, triangles, resolution=resolution)
+        hard = hard_edges(shown, positions, faces) if settings.creases == "asset" else None
         mesh, charted = unwrapped(positions, faces, settings, hard)
+        tried.append((mesh, None if kept is None else kept.nodes(of_position)))
         return mesh, notes + charted
 
     mesh, notes = within_budget(made, settings, asset.n_triangles)
-    return _textured(asset, mesh, settings, seed, [*asset.notes, *([why] if why else []), *notes])
+    model, notes = _textured(shown, mesh, settings, seed, [*asset.notes, *([why] if why else []), *notes])
+    return replace(model, nodes=next(nodes for other, nodes in tried if other is mesh)), notes
 
 
 def on_cards(asset: Asset, settings: InitialSettings, *, cards: str = "mask") -> tuple[Model, list[str]]:
@@ -251,36 +261,6 @@ def displaced_onto(asset: Asset, model: Model, subdivisions: int, tessellations:
         height, size = halved(height), size // 2
     displacement = Displacement(height[..., 0].astype(np.float32), subdivisions, tessellations)
     return replace(model, mesh=tessellation.base, displacement=displacement)
-
-
-def reduced(
-    asset: Asset, triangles: int, *, keep_hidden: bool = False, resolution: int = 256
-) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """
-    Positions (P, 3) and faces (F, 3) of the cleaned and decimated asset, and what was done and lost.
-
-    Of an asset with a skeleton no part counts as hidden: it may come out in a pose.
-    """
-    if triangles > asset.n_triangles:
-        raise MeshError(
-            f"a budget of {triangles} triangles is above the input's own {asset.n_triangles} "
-            f"({_n_positions(asset)} vertices); ask for fewer, as with --triangles {max(4, asset.n_triangles // 2)}"
-        )
-    soup, notes = clean(merge(asset))
-    ensure_variant()
-    from .reduce.parts import reduce_parts  # these trace rays
-    from .reduce.visibility import visibility
-
-    opaque = np.array([m.alpha_mode == "OPAQUE" for m in soup.materials])[soup.material_index]
-    seen = visibility(soup.positions, soup.position_faces, opaque)
-    names = np.array(soup.names)[soup.part_index]
-    positions, faces, more, warnings = reduce_parts(
-        soup.positions, soup.position_faces, triangles, seen, opaque, names,
-        keep_hidden=keep_hidden or asset.rig is not None, resolution=resolution,
-    )  # fmt: skip
-    for line in warnings:
-        log.warning("%s", line)
-    return positions, faces, notes + more + warnings
 
 
 def _n_positions(asset: Asset) -> int:

@@ -21,6 +21,7 @@ from ..config.amounts import resolved
 from ..config.schema import ReferenceSettings
 from ..errors import ConfigError
 from ..initial.budget import budget, settled
+from ..initial.nodes import require_no_nodes
 from ..judging.metrics import flip, psnr
 from ..judging.screen import Screen
 from ..judging.switching import film_of, switching_size, views_of
@@ -154,6 +155,7 @@ def lod_job(
         RunFolder(out / f"lod{k}", overwrite=overwrite)  # what is in the way is said before anything is done
     formats = ["glb", *(["usd"] if "usd" in extras else [])]
     config = configure({"export": {"formats": formats}})
+    require_no_nodes(config.initial)
     if "msft_lod" in extras and config.export.glb.compress == "meshopt":
         raise ConfigError(
             "--msft-lod joins files that are not compressed; leave it out, or set export.glb.compress to quantize"

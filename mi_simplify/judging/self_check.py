@@ -22,7 +22,8 @@ from ..model.asset import Asset, Part
 from ..model.frame import Frame
 from ..model.mesh import Mesh
 from ..model.model import Model
-from ..model.rig import BIND_POSE, Skin, turn
+from ..model.nodes.placing import expanded
+from ..model.rig import BIND_POSE, turn
 from ..model.tangents import vertex_tangents
 from ..scenes.shapes import part_normals
 from ..scenes.views import Views, held_out_views
@@ -59,6 +60,7 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     float
         PSNR of what a screen shows, mean over the views [dB]; 100 where nothing differs.
     """
+    model = expanded(model)
     frame = Frame.around(written.bounds)  # any units, and coordinates far from the origin
     model, written = model.transformed(frame.scale, -frame.scale * frame.center), frame.normalised(written)
     if model.skin is not None:
@@ -68,10 +70,7 @@ def self_check(model: Model, written: Asset, *, form: str = "gltf", n_views: int
     for time in _frames(written):
         shown = written.posed(time)
         views = held_out_views(shown.bounds, n_views, resolution).at(time)
-        tangents = stored_tangents(written)
-        if written.rig is not None and tangents is not None:
-            matrices = written.rig.matrices(time)[:, :3, :3]
-            tangents = [_turned(t, part.skin, matrices) for t, part in zip(tangents, written.parts, strict=True)]
+        tangents = _posed_tangents(written, shown, time)
         there = _render(*as_written(shown.placed(), tangents), views, form)
         found.append(psnr(latent_images(model, views, form), there).mean())
     return float(np.mean(found))
@@ -95,11 +94,22 @@ def _frames(written: Asset) -> list[int]:
     return [BIND_POSE] if written.rig is None else sorted({written.rig.n_frames // 4, 3 * written.rig.n_frames // 4})
 
 
-def _turned(tangents: np.ndarray, skin: Skin | None, matrices: np.ndarray) -> np.ndarray:
-    """Tangents (V, 4) of a skinned part in a pose."""
-    if skin is None:
-        return tangents
-    return np.concatenate([turn(tangents[:, :3], skin, matrices), tangents[:, 3:]], axis=1)
+def _posed_tangents(written: Asset, shown: Asset, time: int) -> list[np.ndarray] | None:
+    """Stored tangents of what a frame shows, shape (V, 4) for each instance; None where there are none."""
+    stored = stored_tangents(written)
+    if stored is None:
+        return None
+    out = []
+    for before, after in zip(written.instances, shown.instances, strict=True):
+        tangents, skin = stored[before.part], written.parts[before.part].skin
+        if skin is not None and written.rig is not None:
+            turned, sign = turn(tangents[:, :3], skin, written.rig.matrices(time)[:, :3, :3]), 1.0
+        else:
+            linear = after.to_world[:3, :3]
+            turned, sign = tangents[:, :3] @ linear.T, np.sign(np.linalg.det(linear))
+            turned = turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
+        out.append(np.concatenate([turned, sign * tangents[:, 3:]], axis=1))
+    return out
 
 
 def stored_tangents(written: Asset) -> list[np.ndarray] | None:
@@ -110,7 +120,7 @@ def stored_tangents(written: Asset) -> list[np.ndarray] | None:
     if not written.source.endswith(".glb"):
         return None
     file = GltfFile(Path(written.source), [])
-    primitives = file.item("meshes", 0)["primitives"]
+    primitives = [primitive for mesh in file.json["meshes"] for primitive in mesh["primitives"]]
     stored = [primitive["attributes"].get("TANGENT") for primitive in primitives]
     if None in stored:
         return None

@@ -44,7 +44,7 @@ class Skinning:
         self._n_joints, self._n_frames = rigging.weights.shape[1], rigging.rig.n_frames
         self.parameters: dict[str, np.ndarray] = {}
         self._weights = upload(mi.Float, rigging.weights.ravel())
-        if len(rigging.fitted) > 1:  # a single pose says nothing of weights
+        if len(rigging.fitted) > 1 and not rigging.rigid:  # a single pose says nothing of weights
             least = _LEAST / self._n_joints
             logits = np.log(np.maximum(rigging.weights, least))
             logits = logits if rigging.reach <= 0 else np.zeros_like(logits)  # the distance says it all

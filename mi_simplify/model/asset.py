@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from .rig import Rig, Skin, deform, normal_matrices, turn
+from .tree import Tree
 
 #: Bytes that a placement takes.
 PER_INSTANCE = 800
@@ -168,6 +169,8 @@ class Instance:
         rig has the one or the other.
     node : str
         The nodes above it in the file's tree, from the root on, with slashes between; empty where there are none.
+    at : int
+        Its node in the asset's tree; -1 where it follows none.
     """
 
     part: int
@@ -175,6 +178,7 @@ class Instance:
     name: str = "instance"
     node: str = ""
     joint: int | None = None
+    at: int = -1
 
 
 @dataclass(frozen=True)
@@ -195,6 +199,8 @@ class Asset:
     """Skeleton and animation of a character; the asset itself then stands in its bind pose, see :meth:`posed`."""
     metadata: Mapping[str, Any] = field(default_factory=dict)
     """Of the file as a whole, carried over as it is: 'copyright', and 'extras', JSON values of glTF's ``asset``."""
+    tree: Tree | None = None
+    """The nodes of a file that has some which can be kept, by name and transform."""
 
     @property
     def n_triangles(self) -> int:
@@ -237,7 +243,8 @@ class Asset:
         """
         moved = tuple(replace(i, to_world=to_world @ i.to_world) for i in self.instances)
         rig = None if self.rig is None else self.rig.transformed(to_world)
-        return replace(self, instances=moved, rig=rig)
+        tree = None if self.tree is None else self.tree.transformed(to_world)
+        return replace(self, instances=moved, rig=rig, tree=tree)
 
     def posed(self, frame: float = 0) -> Asset:
         """

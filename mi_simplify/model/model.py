@@ -15,6 +15,7 @@ from .groups import Group, Groups
 from .mesh import Mesh
 from .rigging import Rigging
 from .tessellation import Tessellation
+from .tree import Nodes
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,9 @@ class Model:
     cells : ndarray, shape (M, 4), int64, optional
         Of a model of several materials: the rectangle (left, top, width, height) of each in the images [texels], of
         which the mesh's texture coordinates are those; without them the images are one texture.
+    nodes : Nodes, optional
+        Nodes of the asset that are kept; not together with ``displacement`` or ``vertex_sets``. Instances are in the
+        mesh once: :func:`.nodes.placing.expanded` has them all.
     metadata : mapping
         Of the asset, see :attr:`.asset.Asset.metadata`.
     """
@@ -140,6 +144,7 @@ class Model:
     groups: Groups | None = None
     morphs: Morphs | None = None
     cells: np.ndarray | None = None
+    nodes: Nodes | None = None
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -152,8 +157,8 @@ class Model:
 
     @property
     def n_triangles(self) -> int:
-        """Number of triangles."""
-        return len(self.mesh.faces)
+        """Number of triangles that are shown, those of instances counted each."""
+        return len(self.mesh.faces) if self.nodes is None else self.nodes.n_shown(self.mesh.position_faces)
 
     @property
     def material(self) -> Material:
@@ -176,7 +181,14 @@ class Model:
             sets = replace(sets, offsets=sets.offsets * scale)
         skin = None if self.skin is None else self.skin.transformed(scale, offset)
         morphs = None if self.morphs is None else replace(self.morphs, offsets=self.morphs.offsets * scale)
-        return replace(self, mesh=mesh, displacement=displacement, vertex_sets=sets, skin=skin, morphs=morphs)
+        nodes = self.nodes
+        if nodes is not None:
+            matrix = np.diag([scale, scale, scale, 1.0])
+            matrix[:3, 3] = offset
+            nodes = nodes.transformed(matrix)
+        return replace(
+            self, mesh=mesh, displacement=displacement, vertex_sets=sets, skin=skin, morphs=morphs, nodes=nodes
+        )
 
     def taking(self, fitted: Model, quantities: Collection[str]) -> Model:
         """
@@ -204,7 +216,8 @@ class Model:
 
     def as_asset(self) -> Asset:
         """
-        The model as an asset of one part, displaced, with the normals that it is fitted with, and its rig.
+        The model as an asset of one part, displaced, with the normals that it is fitted with, and its rig; without
+        instances.
         """
         if self.displacement is not None:
             return tessellated(self).as_asset()

@@ -31,6 +31,8 @@ class Rigging:
         over this distance; what is optimised comes on top.
     influences : int
         Joints that may pull at a vertex of an exported file, at most.
+    rigid : bool
+        Each joint carries whole parts: weights are 0 or 1 and stay so.
     """
 
     weights: np.ndarray
@@ -39,6 +41,7 @@ class Rigging:
     fitted: np.ndarray
     influences: int = 4
     reach: float = 0.0
+    rigid: bool = False
 
     def transformed(self, scale: float, offset: np.ndarray) -> Rigging:
         """

@@ -57,7 +57,29 @@ def skeleton_of(rig: Rig) -> Skeleton:
     out = np.linalg.inv(stretch)
     bind, poses = rig.bind @ out, rig.poses @ out
     above = np.where(rig.parents[:, None, None] >= 0, poses[:, rig.parents], np.eye(4))
-    local = np.linalg.inv(above) @ poses
+    curves, sheared = decomposed(np.linalg.inv(above) @ poses)
+    if sheared.any():
+        names = ", ".join(np.array(rig.names)[sheared][:3])
+        log.warning("joints shear in the animation, which no file can hold; written without shear: %s", names)
+    return Skeleton(rig.names, rig.parents, bind, curves["translation"], curves["rotation"], curves["scale"])
+
+
+def decomposed(local: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """
+    Transforms over time as translations, rotations and scales.
+
+    Parameters
+    ----------
+    local : ndarray, shape (T, J, 4, 4)
+
+    Returns
+    -------
+    curves : dict
+        ``translation`` and ``scale``, shape (T, J, 3), and ``rotation``, unit quaternions x y z w, shape (T, J, 4),
+        each on the side of the one before; float32.
+    sheared : ndarray, shape (J,), bool
+        Those that shear as well: they have the closest rotation.
+    """
     linear = local[..., :3, :3]
     scales = np.linalg.norm(linear, axis=-2)
     scales[..., 2] *= np.where(np.linalg.det(linear) < 0, -1, 1)
@@ -65,14 +87,10 @@ def skeleton_of(rig: Rig) -> Skeleton:
     u, _, vt = np.linalg.svd(rotations)
     straight = u @ vt
     sheared = np.abs(straight - rotations).max((0, 2, 3)) > 1e-3
-    if sheared.any():
-        names = ", ".join(np.array(rig.names)[sheared][:3])
-        log.warning("joints shear in the animation, which no file can hold; written without shear: %s", names)
-    quaternions = _continuous(_quaternions(straight))
-    return Skeleton(
-        rig.names, rig.parents, bind, local[..., :3, 3].astype(np.float32), quaternions.astype(np.float32),
-        scales.astype(np.float32),
-    )  # fmt: skip
+    curves = {
+        "translation": local[..., :3, 3], "rotation": _continuous(_quaternions(straight)), "scale": scales,
+    }  # fmt: skip
+    return {path: curve.astype(np.float32) for path, curve in curves.items()}, sheared
 
 
 def influences(rigging: Rigging) -> tuple[np.ndarray, np.ndarray]:

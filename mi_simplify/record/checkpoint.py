@@ -26,6 +26,7 @@ from ..model.mesh import Mesh
 from ..model.model import Displacement, Model, Morphs, VertexSets
 from ..model.rig import Rig
 from ..model.rigging import Rigging
+from ..model.tree import Nodes, Tree
 
 log = logging.getLogger("mi_simplify")
 
@@ -107,6 +108,11 @@ class Checkpoint:
         if model["morphs"] is not None:
             given = model["morphs"]
             model["morphs"] = Morphs(tuple(given["names"]), tuple(given["weights"]), given["offsets"])
+        if model["nodes"] is not None:
+            given = model["nodes"]
+            tree = Tree(**{**given["tree"], "names": tuple(given["tree"]["names"])})
+            placed, joints = (tuple(tuple(row) for row in given[key]) for key in ("placed", "joints"))
+            model["nodes"] = Nodes(tree, given["of_position"], placed, joints)
         if model["groups"] is not None:
             kinds = tuple(Group(**kind) for kind in model["groups"]["kinds"])
             model["groups"] = Groups(kinds, model["groups"]["of_face"])

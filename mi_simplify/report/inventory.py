@@ -34,7 +34,8 @@ def inventory(path: str | Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``triangles``, ``bounds``, ``parts``, ``materials``, ``extensions`` (of glTF), ``animation``, ``metadata``; then
+        ``triangles``, ``bounds``, ``parts``, ``nodes`` that can be kept, ``materials``, ``extensions`` (of glTF),
+        ``animation``, ``metadata``; then
         ``baked``: what is painted into the textures of the result; ``kept``: what is carried over as it is; and
         ``left_out``: the reader's notes, one line each.
 
@@ -55,6 +56,7 @@ def inventory(path: str | Path) -> dict[str, Any]:
             for k, part in enumerate(asset.parts)
         ],
         "materials": [_described(material) for material in materials],
+        "nodes": [] if asset.tree is None else asset.tree.paths(),
         "extensions": _extensions(Path(path)),
         "animation": None,
         "metadata": dict(asset.metadata),
@@ -79,7 +81,8 @@ def lines_of(found: dict[str, Any], most: int = 12) -> list[str]:
     animation = found["animation"]
     moves = [] if animation is None else [f"{key} {value}" for key, value in animation.items()]
     lists = {
-        "parts": parts, "materials": looks, "extensions": found["extensions"], "animation": moves,
+        "parts": parts, "nodes": found["nodes"], "materials": looks, "extensions": found["extensions"],
+        "animation": moves,
         "baked": found["baked"], "kept": found["kept"], "left out, or not shown": found["left_out"],
     }  # fmt: skip
     for title, entries in lists.items():
@@ -134,5 +137,7 @@ def _kept(asset: Asset, materials: list[Material]) -> list[str]:
     if targets:
         out.append(f"morph targets: {', '.join(targets)}")
     if asset.rig is not None:
-        out += [f"skeleton of {len(asset.rig.names)} joints", *(f"clip '{name}'" for name, _, _ in asset.rig.clips)]
+        joints = f"skeleton of {len(asset.rig.names)} joints"
+        moving = joints if asset.tree is None else f"{len(asset.tree.moving)} animated nodes"
+        out += [moving, *(f"clip '{name}'" for name, _, _ in asset.rig.clips)]
     return [*out, *(f"{key} of the file" for key in asset.metadata)]

@@ -44,6 +44,8 @@ class Character(Subject):
         Frames that the fit sees, and those that are kept for the verdict.
     """
 
+    keeps_nodes = True
+
     def __init__(self, config: Config, geometry: Asset):
         config = config.started(STARTS["character"])
         if config.initial.kind == "sphere":
@@ -70,12 +72,21 @@ class Character(Subject):
         """
         See :class:`.subject.Subject`: decimated in the bind pose, weights carried over.
         """
-        return self._with_weights(self._quadrics(triangles))
+        model = self._quadrics(triangles)
+        asset = self.frame.normalised(self.geometry)
+        weights = carried_weights(asset, model.mesh)
+        rigging = Rigging(weights, rig_of(asset), boxes(asset), self.fitted, self.config.animation.influences)
+        return replace(model, skin=rigging)
 
     def _with_weights(self, model: Model, by_bones: bool = False) -> Model:
-        asset = self.frame.normalised(self.geometry)
+        asset = self.frame.normalised(self.shown)
         rig = rig_of(asset)
         fitted, reach = self.fitted, 0.0
+        if model.nodes is not None:
+            joints = np.array([placed[0] for placed in model.nodes.joints])
+            weights = np.eye(len(rig.names), dtype=np.float32)[joints[model.nodes.of_position]]
+            rigging = Rigging(weights, rig, boxes(asset), fitted, self.config.animation.influences, rigid=True)
+            return replace(model, skin=rigging)
         if by_bones:  # where limbs are spread, so that a sphere finds them: every other instant
             weights, reach = bone_weights(rig, model.mesh.positions)
             fitted = np.concatenate([fitted, np.full(len(fitted), BIND_POSE)])
@@ -86,7 +97,7 @@ class Character(Subject):
 
     def reference(self) -> Reference:
         """See :class:`.subject.Subject`."""
-        return reference_for(self.frame.normalised(self.geometry), self.config)
+        return reference_for(self.frame.normalised(self.shown), self.config)
 
     def renderer(self, spp: int) -> Reference:
         """See :class:`.subject.Subject`."""
@@ -96,6 +107,8 @@ class Character(Subject):
         """
         See :class:`.subject.Subject`: what it costs that files keep few joints a vertex.
         """
+        if model.skin is not None and model.skin.rigid:
+            return {}
         return {"pruning": pruning_cost(model, form=self.config.latent.shading)}
 
     def judge(

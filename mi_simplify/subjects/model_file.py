@@ -20,9 +20,11 @@ class ModelFile(Still):
     An asset at rest, or a Mitsuba scene; see :class:`.subject.Subject`.
     """
 
+    keeps_nodes = True
+
     def reference(self) -> Reference:
         """See :class:`.subject.Subject`."""
-        return reference_for(self.frame.normalised(self.geometry), self.config)
+        return reference_for(self.frame.normalised(self.shown), self.config)
 
     def renderer(self, spp: int) -> Reference:
         """See :class:`.subject.Subject`."""

@@ -24,6 +24,7 @@ from ..formats.mitsuba.read import SceneAsset
 from ..initial.budget import budget, settled
 from ..initial.cards.cards import is_aggregate
 from ..initial.guess import first_guess
+from ..initial.nodes import kept_nodes, require_no_nodes
 from ..initial.quadrics import quadrics_only
 from ..judging.comparison import Comparison
 from ..judging.evaluate import Judging, Rendering, compare_renderings
@@ -59,16 +60,27 @@ class Subject(ABC):
     ----------
     config : Config
         What was asked for, completed by what the subject knows of itself.
+    shown : Asset
+        What the fit sees of the geometry: of instances of a mesh that stay instances the first.
     frame : Frame
         The normalised frame, in which it is fitted.
     """
+
+    #: Whether nodes of its file can be kept: it is fitted to a rendering of ``shown``.
+    keeps_nodes = False
 
     def __init__(self, config: Config, geometry: Asset):
         if config.reference.environment is not None and config.latent.ambient.kind == "auto":
             config = with_ambient(config, kind="environment", optimize=False)
         config = config.model_copy(update={"initial": settled(config.initial, geometry)})
         self.config, self.geometry = with_kind(config, geometry), geometry
-        self.frame = Frame.around(geometry.bounds)
+        kept = kept_nodes(geometry, self.config.initial)
+        if kept is not None and not self.keeps_nodes:
+            require_no_nodes(self.config.initial)
+            initial = self.config.initial.model_copy(update={"keep_nodes": "none"})
+            self.config, kept = self.config.model_copy(update={"initial": initial}), None
+        self.shown = geometry if kept is None else kept.single
+        self.frame = Frame.around(self.shown.bounds)
 
     @property
     @abstractmethod

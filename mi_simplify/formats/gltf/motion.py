@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from ...errors import AssetError
+from ...model.tree import Tree
 from ..influences import MAX_FRAMES
 from .file import GltfFile
 
@@ -55,10 +56,32 @@ class Motion:
         Whether a node or one above it is animated.
         """
         while node >= 0:
-            if any((node, path) in clip.curves for clip in self._clips for path in _WIDTHS):
+            if self._animated(node):
                 return True
             node = self.parents[node]
         return False
+
+    def _animated(self, node: int) -> bool:
+        return any((node, path) in clip.curves for clip in self._clips for path in _WIDTHS)
+
+    def tree(self) -> Tree:
+        """
+        The nodes of the scene, with the transforms of those that are animated in every frame.
+        """
+        nodes = list(self.parents)
+        number = {node: k for k, node in enumerate(nodes)}
+        moving = [node for node in nodes if self._animated(node)]
+        motion = np.zeros((len(self.times), len(moving), 4, 4))
+        for k, node in enumerate(moving):
+            motion[:, k] = np.concatenate([clip.local(node) for clip in self._clips])
+        entries = [self._file.item("nodes", node) for node in nodes]
+        return Tree(
+            tuple(str(entry.get("name") or "") for entry in entries),
+            np.array([number.get(parent, -1) for parent in self.parents.values()], np.int64),
+            np.array([local_matrix(entry) for entry in entries]).reshape(-1, 4, 4),
+            np.array([number[node] for node in moving], np.int64),
+            motion,
+        )
 
     def world(self, nodes: Iterable[int]) -> dict[int, np.ndarray]:
         """
@@ -129,6 +152,10 @@ class _Clip:
                 out[node] = out[parent] @ self._local(node)
         n = len(self.times)
         return {node: np.broadcast_to(matrices, (n, 4, 4)) for node, matrices in out.items()}
+
+    def local(self, node: int) -> np.ndarray:
+        """A node's own transform in every frame, shape (T, 4, 4)."""
+        return np.broadcast_to(self._local(node), (len(self.times), 4, 4))
 
     def _local(self, index: int) -> np.ndarray:
         """A node's own transform in every frame, shape (T, 4, 4), or (1, 4, 4) where it does not move."""

@@ -62,6 +62,7 @@ class _Scene:
     def read(self, path: Path) -> Asset:
         world, self._parents = scene_nodes(self.file)
         self._skeletons = Skeletons(self.file, self._parents, world)
+        self._number: dict[int | None, int] = {node: k for k, node in enumerate(world)}
         for index, to_world in world.items():
             node = self.file.item("nodes", index)
             if node.get("mesh") is None:
@@ -78,11 +79,12 @@ class _Scene:
         if all(part.skin is None for part in self.parts) and not any(map(self._skeletons.motion.moves, carriers)):
             if self.file.json.get("animations"):
                 self.file.resources.note("animations were left out; the model stands as its nodes do")
-            return self._finished(Asset(tuple(self.parts), tuple(self.instances)))
+            return self._finished(Asset(tuple(self.parts), tuple(self.instances), tree=self._skeletons.motion.tree()))
         rig, new, joints = self._skeletons.rig(carriers)
         is_rigid = [c is not None for c in self._carriers]
         parts, instances = renumbered(self.parts, self.instances, is_rigid, new, joints)
-        return self._finished(Asset(parts, instances, rig=rig))
+        tree = self._skeletons.motion.tree() if all(is_rigid) else None  # joints of a skin are its own
+        return self._finished(Asset(parts, instances, rig=rig, tree=tree))
 
     def _note_left_out(self) -> None:
         """A line for everything in the file that has no counterpart here."""
@@ -239,7 +241,8 @@ class _Scene:
         return len(self.parts) - 1
 
     def _place(self, part: int, to_world: np.ndarray, name: str, carrier: int | None) -> None:
-        self.instances.append(Instance(part, to_world, name, "" if carrier is None else self._above(carrier)))
+        above = "" if carrier is None else self._above(carrier)
+        self.instances.append(Instance(part, to_world, name, above, at=self._number.get(carrier, -1)))
         self._carriers.append(carrier)
 
     def _above(self, index: int) -> str:

@@ -27,7 +27,7 @@ class Primitives:
     attributes : dict
         Of all primitives.
     entries : list of dict
-        Of the JSON, one for each group, without their materials.
+        Of the JSON, one for each group that has faces; its number is that of its material.
     grid : Grid or None
         What positions are rounded to; None: they are exact.
     """
@@ -51,8 +51,11 @@ def write_primitives(container: Container, model: Model, settings: GlbSettings, 
         container.required.add(EXTENSION)
     attributes = _attributes(container, mesh, grid, tangents)
     shared = {"attributes": attributes, **some("targets", _targets(container, model, mesh, grid))}
-    faces = [mesh.faces[of_face == k] for k in range(len(groups.kinds))]
-    entries = [shared | {"indices": _indices(container, f, len(mesh.uvs))} for f in faces]
+    used = np.unique(of_face)
+    entries = [
+        shared | {"indices": _indices(container, mesh.faces[of_face == k], len(mesh.uvs)), "material": int(k)}
+        for k in used
+    ]
     return Primitives(mesh, attributes, entries, grid)
 
 

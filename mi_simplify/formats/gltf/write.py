@@ -19,7 +19,7 @@ from ..origin import recentred
 from ..packing import PackedTextures, pack_textures
 from ..textures import HOLDS_AMBIENT
 from .container import Container, some
-from .rig import write_rig
+from .rig import write_nodes, write_rig
 from .vertices import write_primitives
 
 LINEAR, LINEAR_MIPMAP_LINEAR, REPEAT = 9729, 9987, 10497
@@ -30,7 +30,7 @@ def write_glb(
 ) -> Path:
     """
     Write a model as GLB: metallic-roughness material, MikkTSpace tangents, embedded textures of what varies; a
-    character with skeleton, weights and animation.
+    character with skeleton, weights and animation. Kept nodes have a mesh each, and share the textures.
 
     Triangles stand in the order of a GPU's vertex cache, vertices in that of their use.
     Further vertex sets are morph targets, named after the size on the screen that they are for.
@@ -75,33 +75,50 @@ def glb_bytes(
     container = Container(settings.compress == "meshopt")
     if not len(model.mesh.faces):
         raise MeshError("nothing to export: the mesh has no faces")
-    model, origin = recentred(_at_rest(model))
+    model = _at_rest(model)
     textures = textures or pack_textures(model, settings)
-    primitive = write_primitives(container, model, settings, tangents=settings.tangents and "normal" in textures.images)
+    tangents = settings.tangents and "normal" in textures.images
+    if model.nodes is None:
+        scene = _whole(container, model, settings, tangents)
+    else:
+        scene = write_nodes(container, model, lambda part: _mesh(container, part, settings, tangents))
     kinds = model.face_groups.kinds
     painted = _material(container, textures)
     materials = [_of_group(painted, kind, kind.name if len(kinds) > 1 else model.name) for kind in kinds]
-    place = {"translation": origin.tolist()} if origin.any() else {}
-    node: dict = {"name": model.name, "mesh": 0, **place}
-    more: dict = {}
-    if model.skin is not None:
-        more = write_rig(container, model.name, model.skin, primitive.mesh, primitive.grid, node, primitive.attributes)
-        more["nodes"][1] |= place  # the joints are moved, the mesh follows them
-    elif primitive.grid is not None:
-        node |= {"scale": [primitive.grid.scale] * 3, "translation": (origin + primitive.grid.offset).tolist()}
-    primitives = [entry | {"material": k} for k, entry in enumerate(primitive.entries)]
-    mesh = {"name": model.name, "primitives": primitives, **_target_names(model)}
     document = {
         "asset": {"version": "2.0", "generator": f"mi_simplify {__version__}", **_metadata(model, textures, extras)},
         "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [node],
-        "meshes": [mesh],
         "materials": materials,
         "samplers": [{"magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": REPEAT, "wrapT": REPEAT}],
     }
     container.extensions.update(*(material.get("extensions", ()) for material in materials))
-    return container.glb(document | more)
+    return container.glb(document | scene)
+
+
+def _whole(container: Container, model: Model, settings: GlbSettings, tangents: bool) -> dict:
+    """Scene, nodes and mesh of a model in one piece, with its skeleton."""
+    if model.skin is None:
+        mesh, place = _mesh(container, model, settings, tangents)
+        return {"scenes": [{"nodes": [0]}], "nodes": [{"name": model.name, "mesh": 0, **place}], "meshes": [mesh]}
+    model, origin = recentred(model)
+    assert model.skin is not None
+    primitives = write_primitives(container, model, settings, tangents=tangents)
+    node = {"name": model.name, "mesh": 0}
+    scene = write_rig(container, model.name, model.skin, primitives.mesh, primitives.grid, node, primitives.attributes)
+    if origin.any():  # the joints are moved, the mesh follows them
+        for entry in scene["nodes"][:2]:
+            entry["translation"] = origin.tolist()
+    return scene | {"meshes": [{"name": model.name, "primitives": primitives.entries, **_target_names(model)}]}
+
+
+def _mesh(container: Container, model: Model, settings: GlbSettings, tangents: bool) -> tuple[dict, dict]:
+    """A mesh, and the transform that its node needs: where it stands, and what its positions are rounded to."""
+    model, origin = recentred(model)
+    primitives = write_primitives(container, model, settings, tangents=tangents)
+    place: dict = {"translation": origin.tolist()} if origin.any() else {}
+    if primitives.grid is not None:
+        place = {"scale": [primitives.grid.scale] * 3, "translation": (origin + primitives.grid.offset).tolist()}
+    return {"name": model.name, "primitives": primitives.entries, **_target_names(model)}, place
 
 
 def _at_rest(model: Model) -> Model:

@@ -10,7 +10,7 @@ import numpy as np
 
 from .coverage import Coverage
 from .crumbs import components
-from .decimate import Reduction, decimate
+from .decimate import Reduction
 
 _VISIBLE = 1.0
 """Parts that fill less are allowed to go [pixels of the evaluation]."""
@@ -121,12 +121,35 @@ def reduce_parts(
     warnings : list of str
         What is lost, and the budget that would hold it.
     """
+    p, f, _, notes, warnings = reduce_labelled(
+        positions, faces, n_triangles, seen, opaque, names, keep_hidden=keep_hidden, resolution=resolution, size=size
+    )
+    return p, f, notes, warnings
+
+
+def reduce_labelled(
+    positions: np.ndarray,
+    faces: np.ndarray,
+    n_triangles: int,
+    seen: np.ndarray,
+    opaque: np.ndarray,
+    names: np.ndarray,
+    *,
+    keep_hidden: bool = False,
+    resolution: int = 256,
+    size: int = 192,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str], list[str]]:
+    """
+    :func:`reduce_parts` with the part of each position, shape (Q,), after the faces: its component as
+    :func:`.crumbs.components` numbers them.
+    """
     notes: list[str] = []
     label = components(faces, len(positions))
     of_face = label[faces[:, 0]]
     n_parts = int(of_face.max()) + 1
     if n_triangles >= len(faces) or n_parts == 1:
-        return *decimate(positions, faces, n_triangles, seen), notes, []
+        whole = Reduction.of(positions, faces, seen, label).to(n_triangles, np.zeros(label.max() + 1, np.int64))
+        return *whole.result(), notes, []
     if not keep_hidden:
         goes = _hidden(label, of_face, seen, n_parts, len(faces) - n_triangles)
         if goes.any():
@@ -144,7 +167,7 @@ def reduce_parts(
     if keep_hidden:
         pixels = np.where(count > 0, np.maximum(pixels, _VISIBLE), pixels)
     raised = np.ones(n_parts, np.int64)
-    best: tuple[float, np.ndarray, np.ndarray, np.ndarray, int] | None = None
+    best: tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int] | None = None
     halfway = Reduction.of(positions, faces, seen, label)
     halfway = halfway.to(_HALFWAY * n_triangles, shares(pixels, count, n_triangles, 1).least, crumbs=False)
     for _ in range(_ROUNDS):
@@ -157,17 +180,17 @@ def reduce_parts(
         lost = (left < _LOST) & ((1 - left) * pixels >= _VISIBLE)
         loss = float(((1 - left) * pixels)[lost].sum())
         if best is None or loss < best[0]:
-            best = loss, p, f, lost, share.needed
+            best = loss, p, f, component, lost, share.needed
         if not lost.any() or (share.least[lost] == count[lost]).all():
             break
         raised = np.where(lost, 2 * raised, raised)
     assert best is not None
-    loss, p, f, lost, needed = best
+    loss, p, f, component, lost, needed = best
     if not lost.any():
-        return p, f, notes, []
+        return p, f, component, notes, []
     needed = min(len(faces), -(-max(needed, share.needed, n_triangles * 5 // 4) // 10) * 10)
     which = np.flatnonzero(lost)[np.argsort(-pixels[lost], kind="stable")]
-    return p, f, notes, [_warning(which, of_face, names, n_triangles, needed)]
+    return p, f, component, notes, [_warning(which, of_face, names, n_triangles, needed)]
 
 
 def _hidden(label: np.ndarray, of_face: np.ndarray, seen: np.ndarray, n_parts: int, excess: int) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""Models whose parts belong to nodes: taken apart, and put together again."""
