@@ -42,6 +42,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=1024, help="side of the atlas [texels]")
     parser.add_argument("--crease-angle", type=float, default=InitialSettings().crease_angle)
     parser.add_argument("--creases", choices=("all", "asset"), default=InitialSettings().creases)
+    parser.add_argument("--split", type=float, default=InitialSettings().vertices_per_position)
     parser.add_argument("--out", type=Path, default=Path("out") / "files")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
@@ -54,7 +55,10 @@ def main() -> None:
 def row(name: str, triangles: int, args: argparse.Namespace) -> list[str]:
     """Cells of one asset; its atlas is drawn."""
     asset = ms.open_asset(name)
-    settings = InitialSettings(triangles=triangles, atlas_size=args.size, crease_angle=args.crease_angle)
+    settings = InitialSettings(
+        triangles=triangles, atlas_size=args.size, crease_angle=args.crease_angle, creases=args.creases,
+        vertices_per_position=args.split,
+    )  # fmt: skip
     positions, faces, _ = reduced(asset, triangles)
     hard = hard_edges(asset, positions, faces) if args.creases == "asset" else None
     start = time.process_time()

@@ -77,9 +77,15 @@ class InitialSettings(Section):
     )
     creases: Literal["all", "asset"] = Field(
         "all",
-        description="Where such an edge gets them: everywhere, or where the asset has a hard edge or a chart ends. "
-        "`asset` takes half the vertices and looks the same in rasterisers; path tracers lose 1 to 1.5 dB on coarse "
-        "meshes, where smooth normals and faces disagree.",
+        description="Where such an edge gets them: everywhere, which takes two to three times the vertices, or where "
+        "the asset has a hard edge, where a chart ends, and where `vertices_per_position` leaves room.",
+    )
+    vertices_per_position: float = Field(
+        1.5,
+        ge=1,
+        le=6,
+        description="Vertices a position, as files have them, up to which normals are split where faces are furthest "
+        "from their shared one, by area; seams and hard edges of the asset may take more. Only with `creases: asset`.",
     )
     padding: int = Field(4, ge=1, le=64, description="Empty texels between charts.")
     textures: Literal["bake", "constant", "random"] = Field(

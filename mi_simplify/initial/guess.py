@@ -203,7 +203,7 @@ def unwrapped(
     """
     return unwrap(
         positions, faces, atlas_size=settings.atlas_side, padding=settings.padding, crease_angle=settings.crease_angle,
-        hard=hard,
+        hard=hard, split=1.0 if hard is None else settings.vertices_per_position,
     )  # fmt: skip
 
 

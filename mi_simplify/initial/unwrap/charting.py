@@ -4,19 +4,17 @@ Texture coordinates for a low-poly mesh: charts cut, laid flat and packed; and a
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ...errors import MeshError
 from ...model.mesh import Mesh
-from ...model.topology import normal_groups
 from ..manifold import edge_pairs
 from .flatten import Flat, border_loops, flatten
 from .packing import pack
 from .segmentation import Segments, segment
+from .splits import creased, split_where_it_pays
 
 _THIN = 4.0
 """Charts narrower than this many texels lose their colour in the first mip levels."""
@@ -32,6 +30,7 @@ def unwrap(
     padding: int = 4,
     crease_angle: float = 180.0,
     hard: np.ndarray | None = None,
+    split: float = 1.0,
 ) -> tuple[Mesh, list[str]]:
     """
     Cut a mesh into charts and pack them into one square texture without overlap.
@@ -51,6 +50,8 @@ def unwrap(
     hard : ndarray, shape (F, 3), bool, optional
         Edges, from corner k to corner k + 1, at which a crease may run inside a chart; elsewhere one runs along the
         borders of charts only, where it costs no vertex. Everywhere if not given.
+    split : float
+        Vertices a position up to which further ones get two normals, see :func:`.splits.split_where_it_pays`.
 
     Returns
     -------
@@ -75,7 +76,8 @@ def unwrap(
     uvs = pack(flat, border_loops(chart_faces), owner, atlas_size, padding)
     uvs[:, 1] = atlas_size - uvs[:, 1]  # the charts were wound for v up
     mesh = Mesh(positions, place, (uvs / atlas_size).astype(np.float32), chart_faces)
-    mesh = _creased(mesh, crease_angle, hard)
+    mesh = creased(mesh, crease_angle, hard)
+    mesh = split_where_it_pays(mesh, crease_angle, int(split * len(np.unique(faces))))
     return mesh, check(mesh, atlas_size)
 
 
@@ -108,20 +110,6 @@ def _cut(faces: np.ndarray, chart: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n = int(faces.max()) + 1
     place, local = np.unique(chart[:, None] * n + faces, return_inverse=True)
     return place % n, local.reshape(-1, 3)
-
-
-def _creased(mesh: Mesh, angle: float, hard: np.ndarray | None) -> Mesh:
-    """Two normals along sharp edges that are hard or the border of a chart."""
-    _, edge_of, counts = edge_pairs(mesh.faces)
-    border = (counts[edge_of] == 1).T
-    groups = normal_groups(mesh.positions, mesh.position_faces, angle, None if hard is None else hard | border)
-    pairs = np.stack([mesh.faces.ravel(), groups.ravel()], 1)  # a vertex has one place in the atlas and one normal
-    pairs, vertex = np.unique(pairs, axis=0, return_inverse=True)
-    of = pairs[:, 0]
-    return replace(
-        mesh, position_index=mesh.position_index[of], uvs=mesh.uvs[of], faces=vertex.reshape(-1, 3),
-        normal_index=pairs[:, 1],
-    )  # fmt: skip
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
