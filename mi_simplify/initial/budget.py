@@ -5,6 +5,7 @@ How many triangles a first guess gets, from what was asked for: a number, a shar
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import count
 
 import numpy as np
 
@@ -20,6 +21,7 @@ _NEAR = 0.97
 """Share of a budget of vertices that is near enough."""
 
 _ROUNDS = 6
+"""Meshes that are made at most, if one of them fits."""
 
 Made = tuple[Mesh, list[str]]
 
@@ -82,7 +84,7 @@ def within_budget(make: Callable[[int], Made], settings: InitialSettings, most: 
     wanted, best = settings.vertices, None
     few, many = LEAST_TRIANGLES - 1, (most or 4 * wanted) + 1  # that fit, that do not or are not there
     triangles = min(budget(settings), many - 1)
-    for _ in range(_ROUNDS):
+    for n_made in count(1):
         mesh, notes = make(triangles)
         n = len(mesh.uvs)
         if n <= wanted:
@@ -91,7 +93,8 @@ def within_budget(make: Callable[[int], Made], settings: InitialSettings, most: 
                 best = mesh, notes
         else:
             many = triangles
-        if _NEAR * wanted <= n <= wanted or many - few <= 1:
+        # Vertices do not grow evenly with triangles: that nothing has fitted so far does not say that nothing does.
+        if _NEAR * wanted <= n <= wanted or many - few <= 1 or (n_made >= _ROUNDS and best is not None):
             break
         aim = round(triangles * 0.99 * wanted / n)
         triangles = int(np.clip(aim, few + 1, many - 1))
