@@ -11,10 +11,13 @@ from .. import __version__
 
 @click.command()
 @click.option("--variant", metavar="NAME", help="Mitsuba variant to try.")
-def doctor(variant) -> int:
+@click.option("--explain", metavar="CONFIG", help="Say instead what each step of this job's fit computes anew.")
+def doctor(variant, explain) -> int:
     """
     Say what is installed, which LLVM is used, and whether a kernel runs.
     """
+    if explain is not None:
+        return _explain(explain)
     from ..machine.diagnosis import doctor as examine
 
     checks = examine(variant)
@@ -22,6 +25,20 @@ def doctor(variant) -> int:
         mark = "ok" if check.ok else "FAIL" if check.required else "none"
         print(f"{mark:4}  {check.name:24}  {check.detail}")
     return 0 if all(check.ok for check in checks if check.required) else 2
+
+
+def _explain(path: str) -> int:
+    """The stages of a step, and which of them are computed in each."""
+    from ..config import load_config
+    from .console import prepare
+
+    config = load_config(path)
+    prepare(config.variant)
+    from ..fitting.stages import explained
+
+    for name, is_computed, what in explained(config):
+        print(f"{'every step' if is_computed else 'once':10}  {name:20}  {what}")
+    return 0
 
 
 @click.command()

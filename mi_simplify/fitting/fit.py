@@ -25,6 +25,7 @@ from ..scenes.references.reference import OwnViews, Reference
 from ..scenes.views import Views, goniometer
 from .follow import following
 from .held_out import HeldOut
+from .kept import KeptStep
 from .losses import frame_loss, image_loss
 from .parameters.ambient import AmbientSteps
 from .parameters.laplacian import Laplacian
@@ -34,6 +35,7 @@ from .pool import ViewPool
 from .residual import PathResidual
 from .schedules import exponential, laplacian_weight, resolution_at
 from .sizes import at_sizes
+from .stages import can_keep
 from .tessellations import tessellating
 
 
@@ -92,7 +94,7 @@ class Fit:
         self.ambient = AmbientSteps(model.ambient, settings.latent.ambient.optimize, rates.ambient)
         self.laplacian = Laplacian(base.position_faces, base.positions, settings.loss.laplacian.relative)
         self.loss = image_loss(settings.loss.image)
-        self._coverage = dr.opaque(mi.Float, settings.loss.coverage)
+        self.coverage = dr.opaque(mi.Float, settings.loss.coverage)
         self._laplacian_start: float | None = None
         self.caution = 1.0
         """Factor of all rates, halved by :meth:`retreat`."""
@@ -111,8 +113,10 @@ class Fit:
             tessellating(following(draw, model.skin, n), model.displacement, n)
             for draw, n in ((sized, settings.optimizer.batch), (draw, 1))
         )
+        self._keeps = can_keep(settings, is_opaque=not transparent) and model.skin is None and residual is None
+        self._kept: dict[int, KeptStep] = {}
         self.pool = ViewPool(
-            reference, of_batch, settings.reference.pool, np.random.default_rng(settings.seed), residual
+            reference, of_batch, settings.reference.pool, np.random.default_rng(settings.seed), residual, self._keeps
         )
         self.held_out = HeldOut(reference, of_one, settings)
 
@@ -139,9 +143,12 @@ class Fit:
             self.pool.grow(max(2 * batch, renewed), resolution)
         elif index % REFRESH_EVERY == 0:
             self.pool.grow(REFRESH_EVERY * settings.reference.refresh, resolution)
-        views, reference, residual = self.pool.batch(batch)
         ambient = self.ambient.leaf()
         seed = dr.opaque(mi.UInt32, (settings.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
+        factor = self.caution * exponential(progress, settings.optimizer.decay)
+        if self._keeps:
+            return self._kept_step(ambient, seed, factor)
+        views, reference, residual = self.pool.batch(batch)
 
         self._cut(settings.opacity.steepness**progress)
         pose = self.shape.pose(views)
@@ -150,18 +157,30 @@ class Fit:
         surface = self.latent.evaluate(pose.positions, pose.base, pose.parameters, views)
         frame = renderer.render(surface, self.latent.textures, views.under(ambient), spp=self.spp, seed=seed)
 
-        background = self._background(dr.width(frame.image), seed)
-        loss, grad_image = frame_loss(frame.image + residual, reference, background, self.loss, self._coverage)
+        background = self.background(dr.width(frame.image), seed)
+        loss, grad_image = frame_loss(frame.image + residual, reference, background, self.loss, self.coverage)
         texel_grad = renderer.backward(
             frame, grad_image, surface, self.latent.textures, pose.positions, seed ^ dr.opaque(mi.UInt32, 0x5BD1E995)
         )
         del frame  # its graph holds on to the textures, which then could not be written in place
         if dr.grad_enabled(pose.base) and settings.loss.laplacian.weight > 0:
             dr.backward(self.laplacian.loss(pose.base) * self._laplacian_weight(loss, progress))
-        factor = self.caution * exponential(progress, settings.optimizer.decay)
         if texel_grad is not None:
             self.texels.step(texel_grad, dr.opaque(mi.Float, factor))
         self.shape.step(pose, factor)
+        self.ambient.step(ambient, factor)
+        return loss
+
+    def _kept_step(self, ambient: mi.Float | None, seed: mi.UInt32, factor: float) -> mi.Float:
+        """A step of what keeps its hits: shading, loss, the way back, Adam."""
+        number, views, reference = self.pool.fixed_batch(self.settings.optimizer.batch)
+        if number not in self._kept or self._kept[number].views is not views:
+            self._kept = {k: step for k, step in self._kept.items() if step.views is not views and k != number}
+            self._kept[number] = KeptStep(self, views, reference)
+        loss, grad_image = self._kept[number].run(ambient, seed)
+        found = self._kept[number].gradient(ambient, grad_image)
+        if found is not None:
+            self.texels.step_some(*found, dr.opaque(mi.Float, factor))
         self.ambient.step(ambient, factor)
         return loss
 
@@ -181,7 +200,7 @@ class Fit:
             self._laplacian_start = laplacian.weight * float(loss[0]) / max(self.laplacian.absolute_start, 1e-12)
         return dr.opaque(mi.Float, self._laplacian_start * laplacian_weight(progress, laplacian.decay_to))
 
-    def _background(self, n: int, seed: mi.UInt32) -> mi.Color3f:
+    def background(self, n: int, seed: mi.UInt32) -> mi.Color3f:
         if self.settings.views.background == "black":
             return mi.Color3f(0)
         pixel = dr.arange(mi.UInt32, n)
@@ -247,8 +266,8 @@ class Fit:
         image = self._look(views)
         if self.pool.residual is not None:
             image = image + np.nan_to_num(self.pool.residual.render(views, 1))
-        background = self._background(image[..., 0].size, dr.opaque(mi.UInt32, 1))
-        return self.held_out.measure(image, background, self.loss, self._coverage)
+        background = self.background(image[..., 0].size, dr.opaque(mi.UInt32, 1))
+        return self.held_out.measure(image, background, self.loss, self.coverage)
 
     def model(self) -> Model:
         """

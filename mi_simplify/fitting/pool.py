@@ -39,6 +39,8 @@ class ViewPool:
         Of views and batches; its state is all that decides them.
     residual : Reference, optional
         Images to subtract: what the latent renderer does not compute (see ``residual.PathResidual``).
+    fixed : bool
+        Nothing is renewed, and all views are of one instant: every one is in one batch, always the same.
     """
 
     def __init__(
@@ -48,7 +50,9 @@ class ViewPool:
         capacity: int,
         rng: np.random.Generator,
         residual: Reference | None = None,
+        fixed: bool = False,
     ):
+        self.fixed, self._batches = fixed, dict[int, tuple[Views, mi.Vector4f]]()
         self.reference, self.draw, self.capacity, self.rng, self.residual = reference, draw, capacity, rng, residual
         self.n_rendered, self._warned = 0, False
         self._views: list[dict[str, np.ndarray]] = []
@@ -125,6 +129,7 @@ class ViewPool:
         self.resolution, self._next, self.n_rendered = (state[key] for key in ("resolution", "next", "n_rendered"))
         views = state.get("views", {})  # of a dict without entries nothing is left in a file
         n = len(next(iter(views.values()), ()))
+        self._batches.clear()
         self._views = [{key: rows[k] for key, rows in views.items()} for k in range(n)]
         ends = np.cumsum([state["channels"] * int(v["width"] * v["height"]) for v in self._views], dtype=np.int64)
         images = np.split(state["images"], ends[:-1])[:n]
@@ -135,6 +140,22 @@ class ViewPool:
         Forget all views; the next :meth:`grow` begins anew.
         """
         self._views, self._images, self._next, self.resolution = [], [], 0, 0
+        self._batches.clear()
+
+    def fixed_batch(self, n: int) -> tuple[int, Views, mi.Vector4f]:
+        """
+        One of the batches of a fixed pool, at random: its number, views and images, the same objects every time.
+        """
+        n_batches = -(-len(self) // n)
+        number = int(self.rng.integers(n_batches))
+        if number not in self._batches:
+            pick = np.arange(len(self)) * n_batches // len(self) == number
+            index = np.flatnonzero(pick)
+            arrays = {key: np.stack([self._views[i][key] for i in index]) for key in self._views[0]}
+            views = Views.from_arrays(arrays, int(arrays["width"][0]), int(arrays["height"][0]))
+            planes = np.stack([self._images[i][:4] for i in index], axis=1).reshape(4, -1)
+            self._batches[number] = views, mi.Vector4f(upload(dr.float16_array_t(mi.Vector4f), planes.T))
+        return number, *self._batches[number]
 
     def batch(self, n: int) -> tuple[Views, mi.Vector4f, mi.Vector4f]:
         """

@@ -80,4 +80,6 @@ def _state(value, with_widths: bool):
         return dr.width(value) if with_widths else None
     if dataclasses.is_dataclass(value):
         return [_state(getattr(value, f.name), with_widths) for f in dataclasses.fields(value)]
+    if isinstance(value, tuple):
+        return [_state(item, with_widths) for item in value]
     return value if isinstance(value, (bool, int, float, str)) else None

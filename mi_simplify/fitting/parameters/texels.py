@@ -44,6 +44,8 @@ class TexelAdam:
         names = ("base_color",) * 3 + ("roughness", "metallic") + ("normal",) * 3 + ("opacity", "gamma")
         per_channel = [rates.get(name, 0.0) for name in names] + [0.0, 0.0]
         self._rates = [dr.opaque(mi.Float, r) for r in per_channel[: textures.n_channels]]
+        self.channels = tuple(k for k, r in enumerate(per_channel[: textures.n_channels]) if r > 0)
+        """Those that change."""
 
     def step(self, grad: TexelGradient, factor: mi.Float) -> None:
         """
@@ -77,6 +79,40 @@ class TexelAdam:
             dr.scatter(buffer, value, texel)
         dr.eval(textures.data, self.m, self.v, self.count)
         textures.refresh()
+
+    def step_some(self, texel: mi.UInt32, grad: mi.ArrayXf, factor: mi.Float) -> None:
+        """
+        One update of some texels of a texture of one level, in :attr:`channels` alone; whose gradient is zero stays.
+
+        Parameters
+        ----------
+        texel : mi.UInt32, width T
+            All different, as they are stored.
+        grad : mi.ArrayXf, shape (len(channels), T)
+        factor : mi.Float, width 1, opaque
+        """
+        n, active = self.textures.n_channels, dr.any(grad != 0)
+        count = dr.gather(mi.Float, self.count, texel, active) + 1
+        correct1 = dr.rcp(1 - dr.exp2(count * math.log2(self.beta1)))
+        correct2 = dr.rcp(1 - dr.exp2(count * math.log2(self.beta2)))
+        data, first, second = self.textures.data, self.m, self.v
+        # What a projection looks at besides: a normal is one as a whole.
+        whole = sorted({*self.channels, *(_NORMAL if {*_NORMAL} & {*self.channels} else ())})
+        x = {c: dr.gather(mi.Float, data, texel * n + c, active) for c in whole}
+        moments = []
+        for k, c in enumerate(self.channels):
+            m = dr.lerp(grad[k], dr.gather(mi.Float, first, texel * n + c, active), self.beta1)
+            v = dr.lerp(dr.square(grad[k]), dr.gather(mi.Float, second, texel * n + c, active), self.beta2)
+            x[c] = x[c] - self._rates[c] * factor * (m * correct1) * dr.rsqrt(dr.maximum(v * correct2, 1e-24))
+            moments += [(self.m, c, m), (self.v, c, v)]
+        projected = self._project(mi.ArrayXf([x.get(c, mi.Float(0)) for c in range(n)]))
+        changes = [*moments, *((self.textures.data, c, projected[c]) for c in whole)]
+        dr.eval(active, count, *(value for _, _, value in changes))  # all is read before anything is written
+        del data, first, second  # a buffer with a second name would be copied before it is written
+        for buffer, c, value in changes:
+            dr.scatter(buffer, value, texel * n + c, active)
+        dr.scatter(self.count, count, texel, active)
+        dr.eval(self.textures.data, self.m, self.v, self.count)
 
     def _project(self, x: mi.ArrayXf) -> mi.ArrayXf:
         """
@@ -117,6 +153,10 @@ class TexelAdam:
         """
         zero = np.zeros_like(data)
         self.restore({"data": data, "m": zero, "v": zero, "count": np.zeros(len(data) // self.textures.n_channels)})
+
+
+#: Channels of the normal.
+_NORMAL = (5, 6, 7)
 
 
 def _same_memory(buffer: mi.Float) -> mi.Float:
