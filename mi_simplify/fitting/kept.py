@@ -4,7 +4,7 @@ A step over fixed views of a shape that stays: every stage is computed only wher
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -16,9 +16,6 @@ from ..scenes.views import Views
 from .losses import frame_loss
 from .stages import STAGES
 
-if TYPE_CHECKING:
-    from .fit import Fit
-
 
 class KeptStep:
     """
@@ -26,7 +23,7 @@ class KeptStep:
 
     Parameters
     ----------
-    fit : Fit
+    fit : .fit.Fit
         Whose shape is not optimised.
     views : Views
     reference : mi.Vector4f, width B·height·width
@@ -39,7 +36,7 @@ class KeptStep:
         ``targets``.
     """
 
-    def __init__(self, fit: Fit, views: Views, reference: mi.Vector4f):
+    def __init__(self, fit: Any, views: Views, reference: mi.Vector4f):
         self.views, self._fit = views, fit
         self.stages = Reactive(
             STAGES,
