@@ -44,6 +44,9 @@ ARGUMENTS = {
         *SHORT,
         "evaluation.views=2",
     ],
+    "transfer casting --side 8 --directions 4": [],
+    "transfer images cloth --sizes 8": [],
+    "transfer blend --size 8 --frames 12 --epochs 1": [],
     "transports --asset sphere.ply --triangles 200 --out out --set": SHORT,
 }
 

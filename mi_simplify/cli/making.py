@@ -295,7 +295,7 @@ def forest(config, out, instances, environment, gpu_instancing, overwrite, quiet
     """
     Path trace thousands of copies of the plants in the YAML file CONFIG, and of their approximations.
     """
-    from ..config.forest import load_forest
+    from ..config.commands.forest import load_forest
 
     wanted = load_forest(config)
     changes = {"instances": instances, "environment": environment and str(Path(environment).resolve())}

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from .console import display, prepare
-from .options import QUIET
+from .options import OUT, OVERWRITE, QUIET, default_folder
 
 
 @click.group()
@@ -116,3 +116,52 @@ def predict(data, network, out) -> None:
         coefficients = models["network"](baked.positions[frames], baked.normals[frames])
         write_atomic(Path(out), lambda p: np.savez(p, frames=frames, transfer=coefficients))
         print(out)
+
+
+@transfer.command()
+@click.argument("config")
+@OUT
+@OVERWRITE
+@QUIET
+def run(config, out, overwrite, quiet) -> None:
+    """
+    Bake, train, judge and report what the YAML file CONFIG describes; a run that was stopped goes on.
+    """
+    from ..config.commands.transfer import load_transfer
+
+    wanted = load_transfer(config)
+    prepare(None)
+    from ..transfer.run import PAGE, run_transfer
+
+    folder = Path(out or default_folder(config))
+    with display(quiet) as progress:
+        figures = run_transfer(wanted, folder, progress, overwrite=overwrite)
+    if not quiet:
+        for name, own in figures["models"].items():
+            print(f"{name:10}  L1 {own['l1']:.5f}  PSNR {own['psnr']:.2f} dB")
+        print(folder / PAGE)
+
+
+@transfer.command()
+@click.argument("data")
+@click.argument("network")
+@click.option("--out", "-o", metavar="HTML", required=True, help="The page.")
+@click.option("--frames", type=click.IntRange(1, 200), default=20, show_default=True, help="Held-out frames in it.")
+def show(data, network, out, frames) -> None:
+    """
+    Write a page that plays held-out frames of DATA, from rays, NETWORK and the linear model, under a sky that turns.
+    """
+    prepare(None)
+    from ..record.output import check_writable
+    from ..transfer.dataset import load_dataset
+    from ..transfer.linear import fit_linear
+    from ..transfer.network import Network
+    from ..transfer.page import write_page
+    from ..transfer.run import measured
+
+    check_writable(out)
+    baked = load_dataset(data)
+    model, linear = Network(network), fit_linear(baked)
+    figures = measured(baked, model, linear) | {"network_bytes": Path(network).stat().st_size}
+    write_page(out, baked, {"network": model, "linear": linear}, figures, frames, Path(out).stem)
+    print(out)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..config.forest import ForestSettings
+from ..config.commands.forest import ForestSettings
 from ..errors import Defect
 from ..formats.gltf.instancing import write_instanced
 from ..formats.textures import png, to_8bit

@@ -177,6 +177,7 @@ def train(
     adam = torch.optim.Adam(net.parameters(), lr=training.lr)
     state_path = Path(out).with_suffix(".pt")
     epoch, best, since, best_state, spent = 0, np.inf, 0, net.state_dict(), 0.0
+    history: list[float] = []
     if resume:
         if not state_path.exists():
             raise AssetError(f"{state_path}: nothing to resume there; leave out --resume")
@@ -185,6 +186,7 @@ def train(
         adam.load_state_dict(saved["adam"])
         epoch, best, since, best_state, spent = (saved[key] for key in ("epoch", "best", "since", "kept", "spent"))
         rng.bit_generator.state = saved["rng"]
+        history = saved["history"]
     start = time.monotonic()
     while epoch < training.epochs and since < training.patience:
         done = spent + time.monotonic() - start
@@ -207,16 +209,19 @@ def train(
         if value < best:
             best, since = value, 0
             best_state = {key: v.clone() for key, v in net.state_dict().items()}
+        history.append(value)
         progress(Progress("train", epoch, training.epochs, loss=value))
         if epoch % 10 == 0:
             saved = {
                 "net": net.state_dict(), "adam": adam.state_dict(), "epoch": epoch, "best": best, "since": since,
                 "kept": best_state, "spent": spent + time.monotonic() - start, "rng": rng.bit_generator.state,
+                "history": history,
             }  # fmt: skip
             write_atomic(state_path, functools.partial(torch.save, saved))
     net.load_state_dict(best_state)
     net.eval()
-    _export(net, out, n, {"n": n, "albedo": data.albedo, "order": order, **asdict(training)})
+    facts = {"n": n, "albedo": data.albedo, "order": order, "history": history, **asdict(training)}
+    _export(net, out, n, facts)
     parameters = sum(p.numel() for p in net.parameters())
     return {
         "epochs": epoch,
@@ -273,6 +278,7 @@ class Network:
             raise AssetError(f"{path}: a network of 'transfer train' expected, it cannot be read ({line})") from None
         self.n, self.order = int(facts["n"]), int(facts["order"])
         self._albedo = float(facts["albedo"])
+        self.history: list[float] = [float(x) for x in facts["history"]]  # loss on frames set aside, by epoch
 
     def __call__(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """

@@ -8,7 +8,8 @@ from pydantic import ValidationError
 from support.paths import ROOT
 
 from mi_simplify.config import PRESETS, dump, json_schema, load_config, markdown, with_fixed
-from mi_simplify.config.forest import load_forest
+from mi_simplify.config.commands.forest import load_forest
+from mi_simplify.config.commands.transfer import load_transfer
 from mi_simplify.config.layers import parse_override
 from mi_simplify.config.problems import dotted_keys
 from mi_simplify.errors import ConfigError
@@ -218,7 +219,8 @@ def test_every_preset_is_valid(name):
 
 @pytest.mark.parametrize("path", sorted((ROOT / "scenes").glob("*.yaml")), ids=lambda p: p.name)
 def test_every_example_loads(path):
-    (load_forest if path.name == "forest.yaml" else load_config)(path)
+    loaders = {"forest": load_forest, "transfer": load_transfer}
+    loaders.get(path.stem.split("_")[0], load_config)(path)
 
 
 def test_the_documented_keys_are_those_of_the_schema():

@@ -8,7 +8,7 @@ import pytest
 from support.parts import leaves
 
 from mi_simplify import cli
-from mi_simplify.config.forest import load_forest
+from mi_simplify.config.commands.forest import load_forest
 from mi_simplify.errors import ConfigError, OutputError
 from mi_simplify.formats.gltf.instancing import write_instanced
 from mi_simplify.formats.gltf.write import write_glb

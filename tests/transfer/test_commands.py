@@ -1,5 +1,7 @@
 """The commands, through real files."""
 
+import json
+
 import pytest
 
 from mi_simplify import cli
@@ -25,3 +27,39 @@ def test_bake_and_predict(tmp_path, capsys):
 )
 def test_what_cannot_be_baked_is_one_line(rejected, source, message):
     assert message in rejected("transfer", "bake", source, "-o", "data.npz", *SMALL)
+
+
+def settings(tmp_path, text: str) -> str:
+    path = tmp_path / "transfer.yaml"
+    path.write_text(f"source: cloth\nbake: {{size: 8, frames: 12, directions: 8}}\n{text}")
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("train: {model: large}", "train.model"),
+        ("train: {minuts: 3}", "did you mean 'minutes'"),
+        ("shown: 0", "shown"),
+    ],
+)
+def test_settings_of_a_run_are_checked(rejected, tmp_path, text, message):
+    assert message in rejected("transfer", "run", settings(tmp_path, text), "-o", str(tmp_path / "out"))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_run_leaves_everything_and_goes_on(rejected, tmp_path, capsys):
+    for name in ("torch", "onnxruntime", "onnxscript"):
+        pytest.importorskip(name, reason=f"no {name}: install the extra 'transfer'")
+    config, out = settings(tmp_path, "train: {epochs: 2}"), tmp_path / "out"
+    assert cli.main(["transfer", "run", config, "-o", str(out), "--quiet"]) == 0
+    network = (out / "network.onnx").read_bytes()
+    figures = json.loads((out / "figures.json").read_text())
+    assert len(figures["history"]) == 2 and {"network", "linear", "unshadowed"} == set(figures["models"])
+    (out / "report.html").unlink()
+    assert cli.main(["transfer", "run", config, "-o", str(out)]) == 0
+    assert (out / "network.onnx").read_bytes() == network and (out / "report.html").exists()
+    capsys.readouterr()
+    other = settings(tmp_path, "train: {epochs: 3}")
+    assert "a run with other settings" in rejected("transfer", "run", other, "-o", str(out))

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
+from support.folding import folding
 
 from mi_simplify.errors import AssetError, ConfigError
 from mi_simplify.transfer.dataset import bake
 from mi_simplify.transfer.judge import judge
 from mi_simplify.transfer.network import Network, Training, make_unet, train
-
-from .test_dataset import folding
 
 pytest.importorskip("torch", reason="no PyTorch: install the extra 'transfer'")
 pytest.importorskip("onnxruntime", reason="no onnxruntime: install the extra 'transfer'")

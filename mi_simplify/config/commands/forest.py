@@ -9,10 +9,10 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, ValidationError
 
-from ..errors import ConfigError
-from .layers import read_yaml
-from .problems import describe
-from .section import SAMPLE_PREFIX, Section, Triple
+from ...errors import ConfigError
+from ..layers import read_yaml
+from ..problems import describe
+from ..section import SAMPLE_PREFIX, Section, Triple
 
 
 class PlantSettings(Section):

@@ -1,0 +1,1 @@
+"""Settings files of commands that have their own: a forest, and precomputed transfer."""

@@ -1,0 +1,178 @@
+"use strict";
+// Frames of an object side by side, one view a model: coefficients times light is a color for each vertex, drawn by WebGL 2.
+(() => {
+  const box = document.getElementById("player");
+  const canvas = box.querySelector("canvas");
+  const gl = canvas.getContext("webgl2", { antialias: true, alpha: false, preserveDrawingBuffer: true });
+  if (!gl || !window.DecompressionStream) {
+    box.dataset.state = "none";
+    return;
+  }
+  const data = JSON.parse(document.getElementById("player-data").textContent);
+  const [sky, turn, frame, play, spin] = ["sky", "turn", "frame", "play", "spin"].map((k) => box.querySelector(`[name=${k}]`));
+  const nVertices = data.n * data.n, k = data.coefficients, names = Object.keys(data.transfer);
+
+  const VERTEX = `#version 300 es
+    uniform mat4 toClip;
+    layout(location = 0) in vec3 position;
+    layout(location = 1) in vec3 radiance;
+    out vec3 color;
+    void main() { color = radiance; gl_Position = toClip * vec4(position, 1.0); }`;
+  const FRAGMENT = `#version 300 es
+    precision highp float;
+    in vec3 color; out vec4 result;
+    void main() {
+      vec3 c = gl_FrontFacing ? clamp(color, 0.0, 1.0) : vec3(0.0);
+      result = vec4(mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)), 1.0);
+    }`;
+  const program = gl.createProgram();
+  for (const [type, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    const shader = gl.createShader(type);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) || "WebGL failed");
+  gl.useProgram(program);
+  const toClip = gl.getUniformLocation(program, "toClip");
+
+  async function unpacked(text) {
+    const packed = new Blob([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))]);
+    return new Response(packed.stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
+  }
+
+  // The sky turned by an angle: a Fourier series, (K, 3).
+  function light() {
+    const series = data.skies[sky.value], a = (turn.value * Math.PI) / 180;
+    const terms = series.map((_, j) => (j ? (j % 2 ? Math.cos : Math.sin)(Math.ceil(j / 2) * a) : 1));
+    return series[0].map((row, i) => row.map((_, c) => terms.reduce((sum, t, j) => sum + t * series[j][i][c], 0)));
+  }
+
+  let positions, transfer, nIndices, changed = true, last = 0, clock = 0;
+  const camera = { yaw: (data.view[0] * Math.PI) / 180, pitch: (data.view[1] * Math.PI) / 180, distance: 3.2 };
+  const points = new Float32Array(3 * nVertices), colors = new Float32Array(3 * nVertices);
+  const buffers = [gl.createBuffer(), gl.createBuffer()];
+
+  function pose(at) {
+    const start = 3 * nVertices * at, scale = data.positions.scale / 32767;
+    for (let i = 0; i < points.length; i++) points[i] = positions[start + i] * scale;
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers[0]);
+    gl.bufferData(gl.ARRAY_BUFFER, points, gl.DYNAMIC_DRAW);
+  }
+
+  function shade(name, at, l) {
+    const values = transfer[name], start = k * nVertices * at, scale = data.scale / 32767;
+    for (let v = 0; v < nVertices; v++) {
+      let r = 0, g = 0, b = 0;
+      for (let i = 0; i < k; i++) {
+        const t = values[start + v * k + i];
+        r += t * l[i][0];
+        g += t * l[i][1];
+        b += t * l[i][2];
+      }
+      colors[3 * v] = r * scale;
+      colors[3 * v + 1] = g * scale;
+      colors[3 * v + 2] = b * scale;
+    }
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffers[1]);
+    gl.bufferData(gl.ARRAY_BUFFER, colors, gl.DYNAMIC_DRAW);
+  }
+
+  const dot = (a, b) => a.reduce((sum, x, j) => sum + x * b[j], 0);
+  const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  function matrix() {
+    const { yaw, pitch, distance } = camera;
+    const z = [Math.sin(yaw) * Math.cos(pitch), Math.sin(pitch), Math.cos(yaw) * Math.cos(pitch)];
+    const x = [Math.cos(yaw), 0, -Math.sin(yaw)], y = cross(z, x), eye = z.map((v) => distance * v);
+    const f = 1 / Math.tan(0.36), near = Math.max(0.01, distance - 3), far = distance + 3;
+    const [a, b] = [(far + near) / (far - near), (-2 * far * near) / (far - near)];
+    const [rx, ry, rw] = [x.map((v) => v * f), y.map((v) => v * f), z.map((v) => -v)];
+    const [cx, cy, cw] = [rx, ry, rw].map((row) => -dot(row, eye));
+    return [0, 1, 2].flatMap((j) => [rx[j], ry[j], a * rw[j], rw[j]]).concat([cx, cy, a * cw + b, cw]);
+  }
+
+  function draw() {
+    const width = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio));
+    const height = Math.max(1, Math.round(canvas.clientHeight * devicePixelRatio));
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    gl.clearColor(0.085, 0.088, 0.1, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST);
+    gl.uniformMatrix4fv(toClip, false, matrix());
+    const at = Number(frame.value), l = light(), side = Math.min(height, Math.floor(width / names.length));
+    pose(at);
+    names.forEach((name, j) => {
+      shade(name, at, l);
+      gl.viewport(Math.round((width * (j + 0.5)) / names.length - side / 2), Math.round((height - side) / 2), side, side);
+      gl.drawElements(gl.TRIANGLES, nIndices, gl.UNSIGNED_INT, 0);
+    });
+    box.dataset.state = "drawn";
+  }
+
+  function tick(now) {
+    const passed = Math.min(0.1, (now - last) / 1000);
+    last = now;
+    if (spin.checked) {
+      turn.value = (Number(turn.value) + 60 * passed) % 360;
+      changed = true;
+    }
+    if (play.checked && (clock += passed) > 0.1) {
+      clock = 0;
+      frame.value = (Number(frame.value) + 1) % data.frames;
+      changed = true;
+    }
+    if (changed) {
+      changed = false;
+      draw();
+    }
+    requestAnimationFrame(tick);
+  }
+
+  let held = null;
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    held = [event.clientX, event.clientY];
+  });
+  const orbit = (yaw, pitch) => {
+    camera.yaw += yaw;
+    camera.pitch = Math.min(1.55, Math.max(-1.55, camera.pitch + pitch));
+    changed = true;
+  };
+  canvas.addEventListener("pointermove", (event) => {
+    if (!held) return;
+    orbit(-0.008 * (event.clientX - held[0]), 0.008 * (event.clientY - held[1]));
+    held = [event.clientX, event.clientY];
+  });
+  for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => (held = null));
+  canvas.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[event.key];
+    if (!step) return;
+    orbit(...step);
+    event.preventDefault();
+  });
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    camera.distance = Math.min(12, Math.max(0.6, camera.distance * Math.exp(event.deltaY * 0.0015)));
+    changed = true;
+  }, { passive: false });
+  for (const control of [sky, turn, frame]) control.addEventListener("input", () => (changed = true));
+  new ResizeObserver(() => (changed = true)).observe(canvas);
+
+  (async () => {
+    const content = await Promise.all([data.faces, data.positions.values, ...Object.values(data.transfer)].map(unpacked));
+    const indices = new Uint32Array(content[0]);
+    positions = new Int16Array(content[1]);
+    transfer = Object.fromEntries(names.map((name, j) => [name, new Int16Array(content[2 + j])]));
+    nIndices = indices.length;
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, indices, gl.STATIC_DRAW);
+    buffers.forEach((buffer, location) => {
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      gl.enableVertexAttribArray(location);
+      gl.vertexAttribPointer(location, 3, gl.FLOAT, false, 0, 0);
+    });
+    play.checked = spin.checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+    requestAnimationFrame(tick);
+  })();
+})();
