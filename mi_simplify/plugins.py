@@ -17,6 +17,7 @@ MODULES = (
     "mi_simplify.bsdfs.ggx_gamma",
     "mi_simplify.integrators.direct_edge",
     "mi_simplify.integrators.own_light",
+    "mi_simplify.integrators.direct_views",
 )
 
 #: Variants in which they work: gradients and RGB.

@@ -49,8 +49,9 @@ class ReferenceSettings(Section):
         "tracing, shadows and indirect light end up in the textures. `matched`: full path tracing, and what the small "
         "model's direct light lacks is added to it as a constant, so that materials stay clean.",
     )
-    spp: int = Field(
-        4, ge=1, le=65536, description="Samples per pixel of a reference image; path traced ones take 16 if not set."
+    spp: int | None = Field(
+        None, ge=1, le=65536, description="Samples per pixel of a reference image. none: in direct light those of the "
+        "latent images, at the same places, so that their noise cancels; otherwise 4, and 16 where paths are traced.",
     )
     max_depth: int = Field(6, ge=2, le=1024, description="Longest light path, in edges; only path tracing reads it.")
     pool: int = Field(128, ge=1, description="Rendered views held ready; a step draws its batch from them.")
@@ -70,6 +71,11 @@ class ReferenceSettings(Section):
     scene_lights: bool = Field(
         False, description="Keep the lights of a Mitsuba scene besides the point light; only with `transport: baked`."
     )
+
+    @property
+    def samples(self) -> int:
+        """Samples per pixel of an image that is looked at by itself."""
+        return 4 if self.spp is None else self.spp
 
     @model_validator(mode="after")
     def _lights_are_baked(self) -> ReferenceSettings:

@@ -33,6 +33,7 @@ from .parameters.shape import ShapeSteps
 from .parameters.texels import TexelAdam
 from .pool import ViewPool
 from .residual import PathResidual
+from .samples import LOOK_SEED, LOOK_SPP, Samples
 from .schedules import exponential, laplacian_weight, resolution_at
 from .sizes import at_sizes
 from .stages import can_keep
@@ -98,15 +99,15 @@ class Fit:
         self._laplacian_start: float | None = None
         self.caution = 1.0
         """Factor of all rates, halved by :meth:`retreat`."""
-        self.spp = settings.optimizer.spp
-        """Samples per pixel, doubled by :meth:`retreat` where halved rates were not enough."""
+        self.samples = Samples(reference, settings)
+        """Their number is doubled by :meth:`retreat` where halved rates were not enough."""
 
         draw = reference.draw if isinstance(reference, OwnViews) else _by_chance(settings.views)
         residual = None
         if matched:
             residual = PathResidual(
                 self._state, self.renderer,
-                spp=settings.reference.spp, max_depth=settings.reference.max_depth, form=settings.latent.shading,
+                spp=settings.reference.samples, max_depth=settings.reference.max_depth, form=settings.latent.shading,
             )  # fmt: skip
         sized = partial(at_sizes, draw, settings.optimizer.least_resolution)
         of_batch, of_one = (
@@ -116,9 +117,9 @@ class Fit:
         self._keeps = can_keep(settings, is_opaque=not transparent) and model.skin is None and residual is None
         self._kept: dict[int, KeptStep] = {}
         self.pool = ViewPool(
-            reference, of_batch, settings.reference.pool, np.random.default_rng(settings.seed), residual, self._keeps
+            self.samples, of_batch, settings.reference.pool, np.random.default_rng(settings.seed), residual, self._keeps
         )
-        self.held_out = HeldOut(reference, of_one, settings)
+        self.held_out = HeldOut(reference, of_one, settings, self.samples)
 
     def step(self, index: int, progress: float | None = None) -> mi.Float:
         """
@@ -144,7 +145,8 @@ class Fit:
         elif index % REFRESH_EVERY == 0:
             self.pool.grow(REFRESH_EVERY * settings.reference.refresh, resolution)
         ambient = self.ambient.leaf()
-        seed = dr.opaque(mi.UInt32, (settings.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF)
+        own = (settings.seed * 1_000_003 + index * 7919) & 0xFFFFFFFF
+        seed, film_seed = dr.opaque(mi.UInt32, own), dr.opaque(mi.UInt32, self.samples.seed(own))
         factor = self.caution * exponential(progress, settings.optimizer.decay)
         if self._keeps:
             return self._kept_step(ambient, seed, factor)
@@ -155,7 +157,8 @@ class Fit:
         renderer = self._renderer(progress)
         renderer.move(dr.detach(pose.positions))
         surface = self.latent.evaluate(pose.positions, pose.base, pose.parameters, views)
-        frame = renderer.render(surface, self.latent.textures, views.under(ambient), spp=self.spp, seed=seed)
+        lit = views.under(ambient)
+        frame = renderer.render(surface, self.latent.textures, lit, spp=self.samples.spp, seed=film_seed)
 
         background = self.background(dr.width(frame.image), seed)
         loss, grad_image = frame_loss(frame.image + residual, reference, background, self.loss, self.coverage)
@@ -227,8 +230,8 @@ class Fit:
         for index, part in views.by_shape():
             _, surface = self._moved(part)
             with dr.suspend_grad():
-                lit, opaque_seed = part.under(self.ambient.value), dr.opaque(mi.UInt32, 1)
-                frame = self.renderer.render(surface, self.latent.textures, lit, spp=_LOOK_SPP, seed=opaque_seed)
+                lit, opaque_seed = part.under(self.ambient.value), dr.opaque(mi.UInt32, LOOK_SEED)
+                frame = self.renderer.render(surface, self.latent.textures, lit, spp=LOOK_SPP, seed=opaque_seed)
             out[index] = frame.images()
             unpeeled += 0.0 if frame.unpeeled is None else float(dr.sum(frame.unpeeled)[0])
         self.unpeeled = unpeeled / max(float(out[..., 3].sum()), 1e-12)
@@ -301,7 +304,9 @@ class Fit:
         self.take(parameters)
         self.caution *= 0.5
         if again:
-            self.spp = max(self.spp, min(_CAREFUL_SPP, 2 * self.spp))
+            self.samples.spp = max(self.samples.spp, min(_CAREFUL_SPP, 2 * self.samples.spp))
+            if self.samples.are_shared:
+                self.pool.clear()
         if not np.isfinite(self._laplacian_start or 0.0):
             self._laplacian_start = None
 
@@ -319,7 +324,7 @@ class Fit:
         return {
             "shape": self.shape.state(), "texels": self.texels.state(), "pool": self.pool.state(),
             "ambient": self.ambient.state(), "laplacian_start": self._laplacian_start, "caution": self.caution,
-            "spp": self.spp,
+            "spp": self.samples.spp,
         }  # fmt: skip
 
     def restore(self, state: dict) -> None:
@@ -330,7 +335,7 @@ class Fit:
         self.texels.restore(state["texels"])
         self.pool.restore(state["pool"])
         self.ambient.restore(state.get("ambient", {}))  # of a dict without entries nothing is left
-        self._laplacian_start, self.caution, self.spp = state["laplacian_start"], state["caution"], state["spp"]
+        self._laplacian_start, self.caution, self.samples.spp = (state[k] for k in ("laplacian_start", "caution", "spp"))
 
 
 def _by_chance(settings: ViewsSettings) -> Callable[[int, np.random.Generator, int], list[Views]]:
@@ -349,9 +354,6 @@ def _by_chance(settings: ViewsSettings) -> Callable[[int, np.random.Generator, i
 
 #: Steps between two renewals of the pool: fewer, larger ones cost less.
 REFRESH_EVERY = 16
-
-#: Samples per pixel by which a state is judged: at the same places every time, so that their noise hardly matters.
-_LOOK_SPP = 8
 
 #: Steepness of a mask that is judged: nearly what files show.
 _STEP = 64.0

@@ -15,10 +15,7 @@ from ..machine.upload import upload
 from ..scenes.references.reference import OwnViews, Reference
 from ..scenes.views import Views
 from .losses import frame_loss, srgb
-
-#: Renderings by the reference that are averaged, each of ``reference.spp``: their noise must be less than what a step
-#: near the optimum gains.
-RENDERS = 4
+from .samples import Samples
 
 #: Views at most: judging must not take longer than the steps between.
 _MOST = 8
@@ -35,6 +32,8 @@ class HeldOut:
     draw : callable
         ``draw(n, rng, resolution) -> list of Views``, as in :class:`.pool.ViewPool`; for references that show any view.
     settings : FitSettings
+    samples : Samples
+        Renders the images.
 
     Attributes
     ----------
@@ -43,7 +42,7 @@ class HeldOut:
         Linear radiance on black, and coverage; 0 where the reference does not know.
     """
 
-    def __init__(self, reference: Reference, draw: Callable, settings: FitSettings):
+    def __init__(self, reference: Reference, draw: Callable, settings: FitSettings, samples: Samples):
         judged = settings.evaluation
         resolution, n = min(judged.resolution, max(settings.optimizer.resolution)), min(judged.views, _MOST)
         if isinstance(reference, OwnViews):
@@ -51,7 +50,7 @@ class HeldOut:
         else:
             rng = np.random.default_rng(settings.seed + 1)
             self.views = Views.concatenate(draw(n, rng, resolution))
-        images = np.mean([reference.render(self.views, seed=k + 1) for k in range(RENDERS)], axis=0)
+        images = samples.held_out(self.views)
         self._unknown = np.isnan(images).any(axis=3)[..., None]
         self.images = np.where(self._unknown, 0, images)
 

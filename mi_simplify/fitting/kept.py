@@ -47,7 +47,7 @@ class KeptStep:
         )  # fmt: skip
         self.stages.set("vertices", fit.shape)
         self.stages.set("views", views)
-        self.stages.set("samples", dr.opaque(mi.UInt32, fit.settings.seed))
+        self.stages.set("samples", dr.opaque(mi.UInt32, fit.samples.seed(fit.settings.seed)))
         self.stages.set("textures", fit.latent.textures)
         self.stages.set("targets", (reference, mi.Color3f(0)))
         self.stages.set("light", None)
@@ -87,7 +87,7 @@ class KeptStep:
     def _hits(self, structure, surface, views, samples) -> Kept:
         fit = self._fit
         return keep(
-            structure, surface, fit.latent.textures, views, spp=fit.spp, seed=samples, shade=fit.renderer.shade
+            structure, surface, fit.latent.textures, views, spp=fit.samples.spp, seed=samples, shade=fit.renderer.shade
         )  # fmt: skip
 
     def _image(self, hits, surface, textures, light) -> mi.Vector4f:

@@ -109,7 +109,7 @@ def film_samples(
     Pixel, view and film position of samples of a batch, ``spp`` consecutive ones a pixel.
 
     A rank-1 lattice in every pixel, shifted at random per pixel: as even as a stratified grid for any spp. The same
-    seed gives the same positions, whatever else changes.
+    seed gives the same positions in every view of this size, whatever else changes.
 
     Parameters
     ----------
@@ -131,11 +131,11 @@ def film_samples(
     row = strip * tile + (within - column * tile)
     pixel = row * cameras.width + column
     # The usual four rounds leave the shifts of neighbouring pixels correlated (0.45) and uneven.
-    shift_x, shift_y = mi.sample_tea_32(pixel, seed, 6)
+    view = row // cameras.height
+    shift_x, shift_y = mi.sample_tea_32(pixel - view * (cameras.width * cameras.height), seed, 6)
     to_unit = 2.0**-32
     jx = dr.fma(k, 1 / spp, mi.Float(shift_x) * to_unit)
     jy = dr.fma(k, 0.6180339887, mi.Float(shift_y) * to_unit)
-    view = row // cameras.height
     x = mi.Float(column) + (jx - dr.floor(jx))
     y = mi.Float(row - view * cameras.height) + (jy - dr.floor(jy))
     return pixel, view, x, y

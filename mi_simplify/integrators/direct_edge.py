@@ -109,9 +109,8 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 meets_edge |= alive & at_edge(si)
             bsdf = si.bsdf(ray)
             lit = alive & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(lit), self.shadows, lit)
-            lit &= ds.pdf != 0
-            value = bsdf.eval(ctx, si, si.to_local(ds.d), lit)
+            towards, weight, lit = self._light(scene, sampler, si, lit)
+            value = bsdf.eval(ctx, si, si.to_local(towards), lit)
             radiance += dr.select(lit, through * value * weight, 0)
             if dr.any(self.ambient != 0):
                 radiance += self._ambient(bsdf, si, through, alive)
@@ -119,6 +118,13 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             alive &= dr.max(dr.detach(through)) > 1e-4
         coverage = 1 - dr.mean(through)
         return radiance, valid, [coverage], meets_edge
+
+    def _light(self, scene, sampler, si, active):
+        """
+        Direction towards a light, its radiance over the density of that choice, and whether there is any.
+        """
+        ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(active), self.shadows, active)
+        return ds.d, weight, active & (ds.pdf != 0)
 
     def _ambient(self, bsdf, si, through, active):
         """

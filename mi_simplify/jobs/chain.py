@@ -264,7 +264,7 @@ def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray
 
 def _supersampled(config: Config) -> ReferenceSettings:
     """The reference with so many samples that its own noise does not count."""
-    return config.reference.model_copy(update={"spp": max(config.reference.spp, 64)})
+    return config.reference.model_copy(update={"spp": max(config.reference.samples, 64)})
 
 
 def _strict(

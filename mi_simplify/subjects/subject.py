@@ -205,7 +205,7 @@ class Subject(ABC):
 
     def _framed(self) -> Reference:
         """The subject's own renderer, for views in the normalised frame."""
-        return FramedReference(self.renderer(self.config.reference.spp), self.frame.scale, self.frame.center)
+        return FramedReference(self.renderer(self.config.reference.samples), self.frame.scale, self.frame.center)
 
     def _judged_in_its_own_light(
         self, candidates: Mapping[str, Asset], judging: Judging, progress: ProgressCallback | None
@@ -310,7 +310,7 @@ def reference_for(asset: Asset, config: Config, *, emission: bool = False) -> Re
     settings = config.reference
     require_environment(settings.environment)
     return make_reference(
-        asset, transport=settings.transport, spp=settings.spp, max_depth=settings.max_depth,
+        asset, transport=settings.transport, spp=settings.samples, max_depth=settings.max_depth,
         environment=settings.environment, lights=settings.scene_lights, form=config.latent.shading,
         emission=emission,
     )  # fmt: skip

@@ -4,6 +4,7 @@ A character as a reference: one Mitsuba scene whose meshes are posed anew for ev
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import mitsuba as mi
@@ -16,6 +17,7 @@ from ...model.topology import vertex_normals, weld
 from ..shapes import rendered_mesh, rendered_part
 from ..views import Views
 from .mitsuba import MitsubaReference
+from .reference import is_aligned
 
 
 class AnimatedReference:
@@ -26,40 +28,34 @@ class AnimatedReference:
     ----------
     asset : Asset
         With a rig.
-    integrator : dict
-        Mitsuba integrator.
-    spp : int
-        Samples per pixel.
-    sky : float
-        Radiance of a constant environment, 0 for none.
-    environment : str, optional
-        Image file of an environment.
+    make : callable
+        ``make(shapes)``: the renderer of some Mitsuba shapes, whose :meth:`.mitsuba.MitsubaReference.move` poses them.
     form : {'gltf', 'paper'}
         Mixing of the lobes in ``ggx_gamma``.
-    glows : bool
-        Add the emission of materials.
     """
 
-    def __init__(
-        self, asset: Asset, integrator: dict, spp: int, *, sky: float = 0.0, environment: str | None = None,
-        form: str = "gltf", glows: bool = False,
-    ):  # fmt: skip
+    def __init__(self, asset: Asset, make: Callable[[dict], MitsubaReference], form: str = "gltf"):
         bsdfs: dict[tuple, mi.BSDF] = {}
         rig = rig_of(asset)
         self._meshes = [_Posable(f"part_{k}", part, rig) for k, part in enumerate(_skinned(asset))]
-        shapes = {mesh.name: mesh.shape(bsdfs, form) for mesh in self._meshes}
-        self.reference = MitsubaReference(shapes, integrator, spp, glows)
-        self.reference.light_up(sky, environment)
+        self.reference = make({mesh.name: mesh.shape(bsdfs, form) for mesh in self._meshes})
         self._frame: float | None = None
 
-    def render(self, views: Views, seed: int = 0) -> np.ndarray:
+    @property
+    def is_aligned(self) -> bool:
+        """See :class:`.reference.AlignedReference`."""
+        return is_aligned(self.reference)
+
+    def render(self, views: Views, seed: int = 0, spp: int | None = None) -> np.ndarray:
         """
-        See :class:`.reference.Reference`; views of one frame are rendered together.
+        See :class:`.reference.AlignedReference`; views of one frame are rendered together.
         """
         out = np.empty((len(views), views.height, views.width, 4), np.float32)
         for k, (index, part) in enumerate(views.by_shape()):
             self._pose(float(part.frame[0]))
-            out[index] = self.reference.render(part, (seed * len(views) + k) % 2**32)
+            # Aligned samples are the same in all frames, as in the latent renderer; noise is not to be.
+            own = seed if self.is_aligned else (seed * len(views) + k) % 2**32
+            out[index] = self.reference.render(part, own, spp)
         return out
 
     def _pose(self, frame: float) -> None:

@@ -103,9 +103,9 @@ class MitsubaReference:
         self._params.keep([*views, *self._moved])
         self._apply_moved()
 
-    def render(self, views: Views, seed: int = 0) -> np.ndarray:
+    def render(self, views: Views, seed: int = 0, spp: int | None = None) -> np.ndarray:
         """
-        See :class:`.reference.Reference`; one kernel, launched once a view.
+        See :class:`.reference.Reference`; one kernel, launched once a view, with other samples where ``spp`` is given.
         """
         arrays = views.arrays()
         self._prepare(arrays, views.width, views.height)
@@ -117,9 +117,9 @@ class MitsubaReference:
             self._params["view_light.position"] = mi.Point3f(arrays["light_position"][k])
             self._params["view_light.intensity.value"] = mi.Color3f(arrays["light_intensity"][k])
             self._params.update()
-            spp, number = self.spp, (seed * len(views) + k) % 2**32
-            out[k] = mi.render(self._scene, spp=spp, seed=number).numpy()
+            samples, number = spp or self.spp, (seed * len(views) + k) % 2**32
+            out[k] = mi.render(self._scene, spp=samples, seed=number).numpy()
             if self._own_light is not None:
-                glow = mi.render(self._scene, integrator=self._own_light, spp=spp, seed=number).numpy()
+                glow = mi.render(self._scene, integrator=self._own_light, spp=samples, seed=number).numpy()
                 out[k, ..., :3] += glow[..., :3]
         return out

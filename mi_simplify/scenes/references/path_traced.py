@@ -5,6 +5,7 @@ Assets and Mitsuba scenes as references: which integrator renders them, and in w
 from __future__ import annotations
 
 import logging
+from functools import partial
 
 import mitsuba as mi
 import numpy as np
@@ -17,6 +18,7 @@ from ...model.asset import Asset
 from ...model.groups import is_see_through
 from ..shapes import asset_shapes
 from .animated import AnimatedReference
+from .direct import DirectReference
 from .mitsuba import MitsubaReference
 from .reference import FramedReference, Reference
 
@@ -45,7 +47,7 @@ def make_reference(
     asset: Asset,
     *,
     transport: str = "direct",
-    spp: int = _DEFAULTS.spp,
+    spp: int = _DEFAULTS.samples,
     max_depth: int = _DEFAULTS.max_depth,
     sky: float = 0.0,
     environment: str | None = None,
@@ -82,14 +84,17 @@ def make_reference(
     if isinstance(asset, SceneAsset):
         reference = scene_reference(asset.file, transport=transport, spp=spp, max_depth=max_depth, lights=lights)
     else:
-        transparent = any(is_see_through(p) for p in asset.parts)
-        integrator = _integrator(transport, max_depth, transparent)
+        integrator = _integrator(transport, max_depth, any(is_see_through(p) for p in asset.parts))
         if ambient is not None:
             integrator["ambient"] = mi.ScalarVector3f(*(float(x) for x in ambient[0]))
         glows = emission and any(p.material.emission is not None for p in asset.parts)
+        only_views = sky == 0 and environment is None
+        make = partial(_renderer, integrator=integrator, spp=spp, glows=glows, only_views=only_views)
         if asset.rig is not None:
-            return AnimatedReference(asset, integrator, spp, sky=sky, environment=environment, form=form, glows=glows)
-        reference = MitsubaReference(dict(asset_shapes(asset, form=form)), integrator, spp, glows)
+            animated = AnimatedReference(asset, make, form)
+            animated.reference.light_up(sky, environment)
+            return animated
+        reference = make(dict(asset_shapes(asset, form=form)))
     own = [name for name, o in reference.shapes.items() if isinstance(o, mi.Emitter) and o.is_environment()]
     if own and (sky > 0 or environment is not None):
         raise UserError(f"{asset.source}: a scene with an environment of its own takes no other; leave one out")
@@ -97,11 +102,20 @@ def make_reference(
     return FramedReference(reference, asset.scale, asset.center) if isinstance(asset, SceneAsset) else reference
 
 
+def _renderer(shapes: dict, *, integrator: dict, spp: int, glows: bool = False, only_views: bool) -> MitsubaReference:
+    """
+    What renders some shapes with an integrator, lit by the views alone or by more.
+    """
+    if integrator["type"] == "direct_edge" and only_views:
+        return DirectReference(shapes, integrator, spp, glows)
+    return MitsubaReference(shapes, integrator, spp, glows)
+
+
 def scene_reference(
     scene: str | SceneFile,
     *,
     transport: str = "baked",
-    spp: int = _DEFAULTS.spp,
+    spp: int = _DEFAULTS.samples,
     max_depth: int = _DEFAULTS.max_depth,
     lights: bool = False,
 ) -> MitsubaReference:
@@ -130,7 +144,8 @@ def scene_reference(
     # Emitters know the scene that they are in, so they cannot be shared with another one.
     shapes = {f"shape_{k}": file.make(shape, fresh=is_emitting(shape)) for k, shape in enumerate(lit)}
     emitters = {f"emitter_{k}": file.make(e, fresh=True) for k, e in enumerate(file.emitters if lights else ())}
-    return MitsubaReference(shapes | emitters, _integrator(transport, max_depth, _see_through(file, lit)), spp)
+    integrator = _integrator(transport, max_depth, _see_through(file, lit))
+    return _renderer(shapes | emitters, integrator=integrator, spp=spp, only_views=not lights)
 
 
 def _see_through(file: SceneFile, shapes: list[Node]) -> bool:

@@ -5,7 +5,7 @@ What the latent model is fitted to: anything that turns views into images.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
@@ -49,6 +49,34 @@ class OwnViews(Reference, Protocol):
         ...
 
 
+@runtime_checkable
+class AlignedReference(Reference, Protocol):
+    """
+    A reference without noise of its own, which looks at pixels through the film positions that it is told to.
+
+    With ``spp`` samples and ``seed`` these are those of :func:`...integrators.camera.film_samples`. A latent image with
+    the same ones differs from it by what the surfaces differ, and not by what either has seen of a pixel.
+    """
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether it is one: some only stand in front of another reference."""
+        ...
+
+    def render(self, views: Views, seed: int = 0, spp: int | None = None) -> np.ndarray:
+        """
+        As :meth:`Reference.render`, with ``spp`` samples a pixel, its own number where that is None.
+        """
+        ...
+
+
+def is_aligned(reference: Reference) -> TypeGuard[AlignedReference]:
+    """
+    Whether a reference is an :class:`AlignedReference`.
+    """
+    return isinstance(reference, AlignedReference) and reference.is_aligned
+
+
 class FramedReference:
     """
     A reference that cannot be moved, seen from another frame: its cameras and lights are moved instead.
@@ -65,14 +93,20 @@ class FramedReference:
     def __init__(self, reference: Reference, scale: float, center: np.ndarray):
         self.reference, self.scale, self.center = reference, scale, np.asarray(center, np.float64)
 
-    def render(self, views: Views, seed: int = 0) -> np.ndarray:
+    @property
+    def is_aligned(self) -> bool:
+        """See :class:`AlignedReference`."""
+        return is_aligned(self.reference)
+
+    def render(self, views: Views, seed: int = 0, spp: int | None = None) -> np.ndarray:
         """
-        See :class:`Reference`; intensities follow the squared distance, so that radiance stays as it is.
+        See :class:`AlignedReference`; intensities follow the squared distance, so that radiance stays as it is.
         """
         arrays = views.arrays()
         moved = {name: arrays[name] / self.scale + self.center for name in ("origin", "light_position")}
         moved["light_intensity"] = arrays["light_intensity"] / self.scale**2
-        return self.reference.render(Views.from_arrays(arrays | moved, views.width, views.height), seed)
+        moved_views = Views.from_arrays(arrays | moved, views.width, views.height)
+        return self.reference.render(moved_views, seed, **({} if spp is None else {"spp": spp}))
 
 
 class CallableReference:
