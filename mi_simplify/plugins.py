@@ -37,6 +37,7 @@ def _register(_old: str | None, new: str | None) -> None:
         mi.register_texture("mapped_texture", _refuse)
         mi.register_integrator("direct_edge", _refuse)
         mi.register_integrator("own_light", _refuse)
+        mi.register_integrator("direct_views", _refuse)
         return
     for name in MODULES:
         if name in sys.modules:

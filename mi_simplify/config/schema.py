@@ -50,7 +50,10 @@ class ReferenceSettings(Section):
         "model's direct light lacks is added to it as a constant, so that materials stay clean.",
     )
     spp: int | None = Field(
-        None, ge=1, le=65536, description="Samples per pixel of a reference image. none: in direct light those of the "
+        None,
+        ge=1,
+        le=65536,
+        description="Samples per pixel of a reference image. none: in direct light those of the "
         "latent images, at the same places, so that their noise cancels; otherwise 4, and 16 where paths are traced.",
     )
     max_depth: int = Field(6, ge=2, le=1024, description="Longest light path, in edges; only path tracing reads it.")

@@ -335,7 +335,9 @@ class Fit:
         self.texels.restore(state["texels"])
         self.pool.restore(state["pool"])
         self.ambient.restore(state.get("ambient", {}))  # of a dict without entries nothing is left
-        self._laplacian_start, self.caution, self.samples.spp = (state[k] for k in ("laplacian_start", "caution", "spp"))
+        self._laplacian_start, self.caution, self.samples.spp = (
+            state[k] for k in ("laplacian_start", "caution", "spp")
+        )
 
 
 def _by_chance(settings: ViewsSettings) -> Callable[[int, np.random.Generator, int], list[Views]]:

@@ -116,7 +116,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 radiance += self._ambient(bsdf, si, through, alive)
             through *= dr.select(alive, bsdf.eval_null_transmission(si, alive), 1)
             alive &= dr.max(dr.detach(through)) > 1e-4
-        coverage = 1 - dr.mean(through)
+        coverage = 1 - dr.mean(through, axis=0)
         return radiance, valid, [coverage], meets_edge
 
     def _light(self, scene, sampler, si, active):

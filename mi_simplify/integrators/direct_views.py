@@ -36,6 +36,7 @@ class DirectViews(DirectEdge):
         self._lights: tuple[Cameras, mi.UInt32] | None = None
 
     def _light(self, scene, sampler, si, active):
+        assert self._lights is not None  # render_views is what calls this
         cameras, view = self._lights
         position = mi.Point3f(cameras.fetch(view, 4).xyz)
         d = position - si.p

@@ -17,6 +17,7 @@ from ..config import dump
 from ..errors import ConfigError
 from ..fitting.fit import Fit
 from ..fitting.held_out import HeldOut
+from ..fitting.samples import Samples
 from ..formats.textures import png
 from ..judging.metrics import psnr, silhouette_error
 from ..judging.pictures import displayed
@@ -133,10 +134,11 @@ class _Same:
 def _judged(optimization: Optimization, start: Model, result: Model) -> tuple[dict[str, Any], np.ndarray]:
     """Figures of start and result beside the target, and up to four views of all three, shape (3 H, 4 W, 3)."""
     settings, rows = optimization.prepare()[1], dict[str, Any]()
-    held = HeldOut(optimization.target.reference, _never_drawn, settings)
+    reference = optimization.target.reference
+    held = HeldOut(reference, _never_drawn, settings, Samples(reference, settings))
     shown = [held.images]
     for name, model in (("start", start), ("result", result)):
-        fit = Fit(model, optimization.target.reference, settings)
+        fit = Fit(model, reference, settings)
         images = fit.look()
         rows[name] = {
             "loss": fit.judge()[0],

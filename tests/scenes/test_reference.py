@@ -1,16 +1,24 @@
 """Reference renderers: against analytic radiance and coverage, and what each transport contains."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 import trimesh
+from support.models import textured_sphere
 
 from mi_simplify.errors import AssetError, UserError
 from mi_simplify.integrators.camera import Cameras
+from mi_simplify.integrators.deferred import DeferredRenderer
+from mi_simplify.latent.latent import Latent
+from mi_simplify.machine.upload import upload
 from mi_simplify.model.asset import Asset, Instance, Material, Part
+from mi_simplify.scenes.references.direct import DirectReference
+from mi_simplify.scenes.references.mitsuba import MitsubaReference
 from mi_simplify.scenes.references.path_traced import make_reference, scene_reference
-from mi_simplify.scenes.references.reference import CallableReference
+from mi_simplify.scenes.references.reference import CallableReference, is_aligned
 from mi_simplify.scenes.views import goniometer, look_at
 
 SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float), np.array([[0, 1, 2], [0, 2, 3]])
@@ -70,16 +78,16 @@ def test_sphere_under_a_point_light_at_the_camera():
     """Radiance kd·cos·I / (π d²) over the visible cap, coverage that of the disk under which it is seen."""
     ball = trimesh.creation.icosphere(subdivisions=4)
     part = Part(np.asarray(ball.vertices), np.asarray(ball.faces, np.int64), material=matt())
-    n, distance, fov = 24, 4.0, 40.0
+    n, k, distance, fov = 24, 64, 4.0, 40.0  # k²: slivers of the disk are in some pixels
     image = make_reference(asset(part), spp=256).render(from_above(n, n))[0]
-    p = film_points(n, n, fov, distance, 16)
+    p = film_points(n, n, fov, distance, k)
     d = (p - [0, 0, distance]) / np.linalg.norm(p - [0, 0, distance], axis=-1, keepdims=True)
     b = -distance * d[..., 2]
     disc = b**2 - (distance**2 - 1)
     t = b - np.sqrt(np.maximum(disc, 0))
     normal = [0, 0, distance] + t[..., None] * d
     value = 0.8 * distance**2 / t**2 * np.maximum(-np.sum(normal * d, -1), 0)
-    expected, coverage = block_mean(np.where(disc > 0, value, 0), 16), block_mean((disc > 0).astype(float), 16)
+    expected, coverage = (block_mean(x, k) for x in (np.where(disc > 0, value, 0), 1.0 * (disc > 0)))
     assert image[..., 3].sum() == pytest.approx(coverage.sum(), rel=0.005)  # the mesh lies inside of the sphere
     assert np.abs(image[..., 3] - coverage).max() < 0.08
     inside = coverage == 1
@@ -173,17 +181,23 @@ def test_unknown_transport_is_named():
 # --- the interface ---------------------------------------------------------------------------------------------------
 
 
-def test_each_view_has_its_own_camera_light_and_noise():
+def test_each_view_has_its_own_camera_and_light():
     reference = make_reference(asset(square(half=5)), transport="direct", spp=1)
     views = look_at(
         [[0, 0, 4]] * 4, [[0, 0, 0]] * 4, [[0, 0, 4], [0, 0, 4], [0, 0, 4], [3, 0, 4]],
         width=12, height=12, fov=np.array([40, 40, 20, 40]), irradiance=np.array([[1.0], [2.0], [1.0], [1.0]]),
     )  # fmt: skip
     a = reference.render(views, seed=5)
-    assert np.allclose(a[1] / a[0], [2, 2, 2, 1], rtol=0.1) and not np.array_equal(a[1, ..., :3], 2 * a[0, ..., :3])
+    assert np.allclose(a[1], [2, 2, 2, 1] * a[0], rtol=1e-6)  # the same places in all views
     assert np.ptp(a[2, ..., 0]) < 0.6 * np.ptp(a[0, ..., 0])  # half the angle: less of the falling off
     assert a[3, :, -1, 0].mean() > a[3, :, 0, 0].mean() * 1.5  # lit from the right
     assert np.array_equal(reference.render(views, seed=5), a) and not np.array_equal(reference.render(views, seed=6), a)
+
+
+def test_each_path_traced_view_has_its_own_noise():
+    reference = make_reference(asset(square(half=5)), transport="baked", spp=1)
+    a = reference.render(from_above(12, 12).take(np.array([0, 0])), seed=5)
+    assert np.allclose(a[1], a[0], rtol=0.2) and not np.array_equal(a[1], a[0])
 
 
 def test_film_size_may_change_between_calls():
@@ -261,3 +275,36 @@ def test_mitsuba_scene_errors_are_one_line(tmp_path):
     assert "\n" not in str(error.value)
     with pytest.raises(AssetError, match="empty.xml: the scene has no shapes"):
         scene_reference(str(empty))
+
+
+def test_direct_light_sees_what_the_latent_renderer_sees_at_the_same_places():
+    """The same model by both, with two samples: noise of 4 % in either, hardly any between them."""
+    model = textured_sphere()
+    reference = make_reference(model.as_asset())
+    assert is_aligned(reference)
+    assert not is_aligned(make_reference(model.as_asset(), sky=0.1))
+    views = goniometer(3, np.random.default_rng(1), width=64, height=64)
+    latent = Latent(model)
+    positions = upload(mi.Float, latent.topology.mesh.positions.ravel())
+    renderer = DeferredRenderer(latent.topology)
+    renderer.move(positions)
+    surface = latent.evaluate(positions)
+    with dr.suspend_grad():
+        frame = renderer.render(surface, latent.textures, views, spp=2, seed=dr.opaque(mi.UInt32, 7))
+    theirs = reference.render(views, seed=7, spp=2)
+    difference = np.abs(frame.images() - theirs).max(-1)
+    assert (difference > 1e-3).mean() < 1e-3  # rays that graze an edge
+    other = reference.render(views, seed=8, spp=2)
+    assert np.abs(other - theirs).mean() > 20 * difference.mean()
+
+
+def test_direct_light_is_that_of_mitsubas_own_lamp():
+    """A launch for all views, and one a view under a point light in the scene: shadowless, see-through, glowing."""
+    glass = square(z=0.5, half=0.5, opacity=0.4, mode="BLEND")
+    glowing = replace(matt(), emission=np.float32([[[0.2, 0.1, 0.0]]]))
+    seen = asset(glass, replace(square(), material=glowing))
+    views = goniometer(2, np.random.default_rng(2), width=32, height=32)
+    reference = make_reference(seen)
+    assert isinstance(reference, DirectReference)
+    one_by_one = MitsubaReference(reference.shapes, {"type": "direct_edge", "layers": 8}, 64, True)
+    assert np.abs(reference.render(views, 3, spp=64) - one_by_one.render(views, 3)).mean() < 2e-3
