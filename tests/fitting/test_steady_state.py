@@ -28,7 +28,7 @@ def model(n_texels=64) -> Model:
     rng = np.random.default_rng(0)
     base_color, specular = (rng.uniform(0.3, 0.7, (n_texels, n_texels, c)).astype(np.float32) for c in (4, 3))
     normal = np.broadcast_to(np.float32([0, 0, 1]), (n_texels, n_texels, 3))
-    # With 768 faces their 2,304 packets were once as many as the texels of the blocks touched, 16 each, in one step, and
+    # With 768 faces their 2,304 packets were once as many as the texels of the blocks touched, 16 each, and
     # what is equally wide shares a kernel. Here no number of blocks does that.
     return Model(charted_sphere(7, noise=0.05, seed=1), base_color, specular, normal)
 
