@@ -140,7 +140,8 @@ def test_the_fit_moves_weights_and_goes_on_where_it_was(subject, guess):
     again = Run(guess, subject.reference(), subject.config, state)
     for r in (run, again):
         r.step()
-    np.testing.assert_array_equal(run.fit.model().skin.weights, again.fit.model().skin.weights)
+    # Atomic additions of two threads come in any order: the last bit is theirs.
+    np.testing.assert_allclose(run.fit.model().skin.weights, again.fit.model().skin.weights, rtol=1e-6, atol=0)
 
 
 def test_in_the_bind_pose_weights_stay(subject, guess):
