@@ -16,8 +16,8 @@ MODULES = (
     "mi_simplify.bsdfs.mapped_texture",
     "mi_simplify.bsdfs.ggx_gamma",
     "mi_simplify.integrators.direct_edge",
-    "mi_simplify.integrators.own_light",
-    "mi_simplify.integrators.direct_views",
+    "mi_simplify.integrators.lights.own_light",
+    "mi_simplify.integrators.lights.direct_views",
 )
 
 #: Variants in which they work: gradients and RGB.

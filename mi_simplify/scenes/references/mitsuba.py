@@ -50,7 +50,7 @@ class MitsubaReference:
     spp : int
         Samples per pixel.
     glows : bool
-        Add the emission of materials, see :class:`...integrators.own_light.OwnLight`.
+        Add the emission of materials, see :class:`...integrators.lights.own_light.OwnLight`.
     """
 
     def __init__(self, shapes: dict, integrator: dict, spp: int, glows: bool = False):

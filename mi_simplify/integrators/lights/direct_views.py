@@ -8,17 +8,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..scenes.views import Views
-from .camera import Cameras, film_samples
-from .direct_edge import DirectEdge
+from ...scenes.views import Views
+from ..camera import Cameras, film_samples
+from ..direct_edge import DirectEdge
 
 
 class DirectViews(DirectEdge):
     r"""
     ``direct_edge`` for a batch of views (:monosp:`direct_views`)
 
-    A pixel is looked at through the film positions of :func:`.camera.film_samples`, which are those of
-    :class:`.deferred.DeferredRenderer` for the same seed and number of samples: of two renderings of nearly the same
+    A pixel is looked at through the film positions of :func:`..camera.film_samples`, which are those of
+    :class:`..deferred.DeferredRenderer` for the same seed and number of samples: of two renderings of nearly the same
     surface, what either has of noise is the same, and is not in their difference.
 
     .. pluginparameters::
