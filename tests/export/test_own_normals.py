@@ -75,7 +75,14 @@ def test_a_rough_asset_from_the_command_line(tmp_path, capsys):
     """Files whose normals lie far from those that were fitted are right, down to the mip levels."""
     rough = bumpy_sphere(tmp_path, height=0.15)
     command = ["simplify", str(rough), "-n", "40", "-o", str(tmp_path / "out"), "--quiet", *TOY]
-    command += ["--set", "initial.subdivisions=2", "--set", "initial.tessellations=[1,2]", "--set", "optimizer.steps=12"]
+    command += [
+        "--set",
+        "initial.subdivisions=2",
+        "--set",
+        "initial.tessellations=[1,2]",
+        "--set",
+        "optimizer.steps=12",
+    ]
     assert cli.main([*command, "--set", "latent.mips=custom"]) == 0, capsys.readouterr().err
     finest, turned = ((tmp_path / "out" / name).read_bytes() for name in ("mips/normal_0.png", "model_normal.png"))
     assert finest == turned != (tmp_path / "out" / "displacement" / "base_normal.png").read_bytes()
