@@ -80,6 +80,10 @@ class ReferenceSettings(Section):
         """Samples per pixel of an image that is looked at by itself."""
         return 4 if self.spp is None else self.spp
 
+    def supersampled(self) -> ReferenceSettings:
+        """The same with so many samples that their noise does not count."""
+        return self.model_copy(update={"spp": max(self.samples, 64)})
+
     @model_validator(mode="after")
     def _lights_are_baked(self) -> ReferenceSettings:
         for name, given in (("environment", self.environment is not None), ("scene_lights", self.scene_lights)):

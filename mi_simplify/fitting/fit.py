@@ -304,9 +304,10 @@ class Fit:
         self.take(parameters)
         self.caution *= 0.5
         if again:
-            self.samples.spp = max(self.samples.spp, min(_CAREFUL_SPP, 2 * self.samples.spp))
-            if self.samples.are_shared:
-                self.pool.clear()
+            spp = max(self.samples.spp, min(_CAREFUL_SPP, 2 * self.samples.spp))
+            if spp > self.samples.spp and self.samples.are_shared:
+                self.pool.clear()  # its images have seen other places
+            self.samples.spp = spp
         if not np.isfinite(self._laplacian_start or 0.0):
             self._laplacian_start = None
 

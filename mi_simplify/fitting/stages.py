@@ -24,6 +24,9 @@ BACKWARD = {
     "light": "derivatives of shading by the ambient light; Adam",
 }
 
+#: Bytes of a kept hit, with what its texels need to find it again, and of all of them at most.
+_PER_HIT, _MOST_KEPT = 150, 4 << 30
+
 _OF_VERTICES = ("vertices", "displacement", "vertex_sets", "skinning")
 
 
@@ -53,8 +56,11 @@ def changing(settings: FitSettings, *, ambient: bool = False, is_opaque: bool = 
 
 def can_keep(settings: FitSettings, *, is_opaque: bool = True) -> bool:
     """
-    Whether hits are the same in every step: fixed views of an opaque shape that stays.
+    Whether hits are the same in every step, fixed views of an opaque shape that stays, and memory holds them.
     """
+    samples = settings.reference.pool * max(settings.optimizer.resolution) ** 2 * settings.optimizer.spp
+    if samples * _PER_HIT > _MOST_KEPT:
+        return False
     fixed = settings.reference.refresh == 0 and settings.optimizer.least_resolution is None
     still = not set(settings.latent.optimize) & set(_OF_VERTICES) and settings.reference.transport != "matched"
     exact = settings.optimizer.visibility == "edge" and settings.latent.mips == "none"

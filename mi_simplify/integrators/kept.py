@@ -25,9 +25,6 @@ from .deferred import pixels
 from .gbuffer import Fragment, fragment, kept_hits, one_a_pixel, trace
 from .shading import shade
 
-#: Bytes that a hit takes, with what its texels need to find it again.
-PER_HIT = 150
-
 
 @dataclass
 class KeptHits:

@@ -18,7 +18,6 @@ import numpy as np
 from .. import __version__
 from ..config import Config
 from ..config.amounts import resolved
-from ..config.schema import ReferenceSettings
 from ..errors import ConfigError
 from ..initial.budget import budget, settled
 from ..initial.nodes import require_no_nodes
@@ -245,7 +244,7 @@ def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray
     """The levels with their figures at the switching sizes."""
     from ..export.lods import coverage
 
-    reference = open_subject(config.model_copy(update={"reference": _supersampled(config)})).reference()
+    reference = open_subject(config.model_copy(update={"reference": config.reference.supersampled()})).reference()
     out = []
     for k, (level, model) in enumerate(zip(levels, models, strict=True)):
         size = level.screen_size or (levels[k + 1].screen_size if k + 1 < len(levels) else None) or 256
@@ -260,11 +259,6 @@ def _judged(levels: Sequence[Level], models: Sequence[Model], bounds: np.ndarray
             )
         )
     return out
-
-
-def _supersampled(config: Config) -> ReferenceSettings:
-    """The reference with so many samples that its own noise does not count."""
-    return config.reference.model_copy(update={"spp": max(config.reference.samples, 64)})
 
 
 def _strict(

@@ -214,6 +214,5 @@ def _bounds(subject: Subject) -> np.ndarray:
 
 def _supersampled(subject: Subject) -> Any:
     """The subject's reference with so many samples that their noise does not count."""
-    settings = subject.config.reference
-    settings = settings.model_copy(update={"spp": max(settings.samples, 64)})
+    settings = subject.config.reference.supersampled()
     return subject.under(subject.config.model_copy(update={"reference": settings})).reference()

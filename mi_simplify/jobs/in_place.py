@@ -16,8 +16,6 @@ from .. import __version__
 from ..config import dump
 from ..errors import ConfigError
 from ..fitting.fit import Fit
-from ..fitting.held_out import HeldOut
-from ..fitting.samples import Samples
 from ..formats.textures import png
 from ..judging.metrics import psnr, silhouette_error
 from ..judging.pictures import displayed
@@ -28,7 +26,6 @@ from ..record.checkpoint import Checkpoint
 from ..record.interrupt import DeferredInterrupt
 from ..record.output import RunFolder
 from ..record.record import Record
-from ..scenes.views import Views
 from .optimization import Optimization
 
 #: The result of the job, and the picture of target, start and result in rows.
@@ -133,13 +130,11 @@ class _Same:
 
 def _judged(optimization: Optimization, start: Model, result: Model) -> tuple[dict[str, Any], np.ndarray]:
     """Figures of start and result beside the target, and up to four views of all three, shape (3 H, 4 W, 3)."""
-    settings, rows = optimization.prepare()[1], dict[str, Any]()
-    reference = optimization.target.reference
-    held = HeldOut(reference, _never_drawn, settings, Samples(reference, settings))
-    shown = [held.images]
+    settings, rows, shown = optimization.prepare()[1], dict[str, Any](), list[np.ndarray]()
     for name, model in (("start", start), ("result", result)):
-        fit = Fit(model, reference, settings)
-        images = fit.look()
+        fit = Fit(model, optimization.target.reference, settings)
+        held, images = fit.held_out, fit.look()
+        shown = shown or [held.images]
         rows[name] = {
             "loss": fit.judge()[0],
             "psnr": round(float(psnr(held.images, images).mean()), 3),
@@ -148,10 +143,6 @@ def _judged(optimization: Optimization, start: Model, result: Model) -> tuple[di
         shown.append(images)
     picture = np.concatenate([np.concatenate([displayed(image) for image in x[:4]], axis=1) for x in shown])
     return {"models": rows, "views": len(held.views)}, picture
-
-
-def _never_drawn(n: int, rng: np.random.Generator, resolution: int) -> list[Views]:
-    raise AssertionError("a target has views of its own")
 
 
 def named(options: Sequence[str]) -> dict[str, float | None]:

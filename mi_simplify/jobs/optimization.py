@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -185,9 +186,7 @@ class Optimization:
         ambient = self.target.ambient
         if ambient is None and "ambient" in quantities:
             ambient = constant_environment((0.05, 0.05, 0.05))
-        model = self._origin.model
-        model = type(model)(**{**vars(model), "ambient": ambient})
-        return model, _optimizing(self.config, self._rates)
+        return replace(self._origin.model, ambient=ambient), _optimizing(self.config, self._rates)
 
     def step(self) -> dict | None:
         """

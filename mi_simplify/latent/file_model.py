@@ -5,7 +5,7 @@ A model file as the latent model that it already is: its meshes, coordinates and
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -264,7 +264,7 @@ def _mesh(
         total = np.zeros((n_groups, 3))
         np.add.at(total, groups, world)
         total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
-        mesh = Mesh(**{**vars(mesh), "own_normals": total})
+        mesh = replace(mesh, own_normals=total)
     return mesh, first
 
 

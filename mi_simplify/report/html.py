@@ -98,7 +98,7 @@ def report_page(
     models, figures, columns = models or {}, comparison.figures, pictures(comparison)
     names, turning = list(comparison.candidates), viewer_data(models) if models else {}
     is_fit = "run" in figures or len(names) < 2  # the last candidate is what all the others are for
-    scripts = [web_file("page.js"), *([web_file("viewer.js")] if models else [])]
+    scripts = [web_file("page.js"), *([web_file("webgl.js") + web_file("viewer.js")] if models else [])]
     return render(
         "report.html",
         title=title,

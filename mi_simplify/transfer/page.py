@@ -64,7 +64,7 @@ def write_page(
     errors = {name: _errors(data, model, held) for name, model in models.items()}
     transfers = {"rays": data.transfer[frames]}
     transfers |= {name: model(data.positions[frames], data.normals[frames]) for name, model in models.items()}
-    script = web_file("transfer.js")
+    script = web_file("webgl.js") + web_file("transfer.js")
     return write_atomic(
         path,
         render(

@@ -157,3 +157,11 @@ def test_the_doctor_explains(tmp_path, capsys):
     assert next(line for line in lines if " hits " in line).startswith("once")
     assert next(line for line in lines if " image " in line).startswith("every step")
     assert cli.main(["doctor", "--explain", str(tmp_path / "none.yaml")]) == 2
+
+
+def test_no_more_hits_are_kept_than_memory_holds():
+    """150 bytes a hit: 128 views of 256² with two samples may have 2.5 GB of them, 1024² are too many."""
+    fixed = {"asset": "none", "reference": {"refresh": 0}, "latent": {"optimize": ["normal"]}}
+    fits, does_not = (Config.model_validate({**fixed, "optimizer": {"resolution": side}}) for side in (256, 1024))
+    assert can_keep(fits) and not can_keep(does_not)
+    assert "hits" in [name for name, is_computed, _ in explained(does_not) if is_computed]

@@ -24,7 +24,8 @@ def reduce_asset(asset, n, **options):
     p, f = soup.positions, soup.position_faces
     seen = visibility(p, f)
     names = np.array(soup.names)[soup.part_index]
-    return soup, *reduce_parts(p, f, n, seen, np.ones(len(f), bool), names, **options)
+    p, f, _, notes, warnings = reduce_parts(p, f, n, seen, np.ones(len(f), bool), names, **options)
+    return soup, p, f, notes, warnings
 
 
 def judge(soup, q, g):
@@ -90,16 +91,16 @@ def test_hidden_parts_go_first_unless_they_are_to_be_kept():
     positions = np.concatenate([p, 0.3 * p])
     faces = np.concatenate([f, f + len(p)])
     seen, names, wall = visibility(positions, faces), np.repeat(["shell", "core"], len(f)), np.ones(len(faces), bool)
-    q, g, notes, warnings = reduce_parts(positions, faces, 300, seen, wall, names, size=64)
+    q, g, _, notes, warnings = reduce_parts(positions, faces, 300, seen, wall, names, size=64)
     assert np.linalg.norm(q, axis=1).min() > 0.8 and "1 part that cannot be seen" in notes[0] and not warnings
-    q, g, notes, warnings = reduce_parts(positions, faces, 300, seen, wall, names, size=64, keep_hidden=True)
+    q, g, _, notes, warnings = reduce_parts(positions, faces, 300, seen, wall, names, size=64, keep_hidden=True)
     assert np.linalg.norm(q, axis=1).min() < 0.4 and not notes and not warnings and 298 <= len(g) <= 300
     # only as many as have to: without the core there is room for all the rest
-    q, g, _, _ = reduce_parts(positions, faces, len(f), seen, wall, names, size=64)
+    q, g, *_ = reduce_parts(positions, faces, len(f), seen, wall, names, size=64)
     assert len(g) == len(f) and np.linalg.norm(q, axis=1).min() > 0.99
     glass = np.arange(len(faces)) >= len(f)
     seen = visibility(positions, faces, glass)
-    q, _, notes, _ = reduce_parts(positions, faces, 300, seen, glass, names, size=64)
+    q, _, _, notes, _ = reduce_parts(positions, faces, 300, seen, glass, names, size=64)
     assert np.linalg.norm(q, axis=1).min() < 0.4 and not notes
 
 
@@ -161,7 +162,7 @@ def silent_losses(seed: int) -> int:
     budget = int(rng.integers(4, max(5, len(faces) // 2)))
     part = components(faces, len(positions))[faces[:, 0]]
     names = np.array([f"ball {k}" for k in range(count)])[np.argsort(np.unique(part, return_index=True)[1])[part]]
-    q, g, _, warnings = reduce_parts(
+    q, g, _, _, warnings = reduce_parts(
         positions, faces, budget, np.ones(len(positions)), np.ones(len(faces), bool), names, resolution=128, size=64
     )
     assert len(g) <= budget

@@ -7,11 +7,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field
 
-from ...errors import ConfigError
 from ..layers import read_yaml
-from ..problems import describe
+from ..problems import validated
 from ..section import SAMPLE_PREFIX, Section, Triple
 
 
@@ -57,10 +56,7 @@ def load_forest(path: str | Path) -> ForestSettings:
         One line with the dotted path: unknown key, wrong type, out of range.
     """
     path = Path(path)
-    try:
-        forest = ForestSettings.model_validate(read_yaml(path))
-    except ValidationError as error:
-        raise ConfigError(describe(error, ForestSettings)) from None
+    forest = validated(ForestSettings, read_yaml(path))
     folder = path.resolve().parent
 
     def found(name: str) -> str:

@@ -7,11 +7,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from ...errors import ConfigError
 from ..layers import read_yaml
-from ..problems import describe
+from ..problems import validated
 from ..section import SAMPLE_PREFIX, Section
 
 #: Sources that are made, not read.
@@ -63,10 +62,7 @@ def load_transfer(path: str | Path) -> TransferSettings:
         One line with the dotted path: unknown key, wrong type, out of range.
     """
     path = Path(path)
-    try:
-        settings = TransferSettings.model_validate(read_yaml(path))
-    except ValidationError as error:
-        raise ConfigError(describe(error, TransferSettings)) from None
+    settings = validated(TransferSettings, read_yaml(path))
     source = settings.source
     if source not in MADE and not source.startswith(SAMPLE_PREFIX):
         source = str(path.resolve().parent / Path(source).expanduser())

@@ -85,7 +85,7 @@ def reduce_parts(
     keep_hidden: bool = False,
     resolution: int = 256,
     size: int = 192,
-) -> tuple[np.ndarray, np.ndarray, list[str], list[str]]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str], list[str]]:
     """
     Decimate a surface of several parts, which are its connected components, so that none of them is lost unsaid.
 
@@ -116,32 +116,12 @@ def reduce_parts(
     -------
     positions : ndarray, shape (Q, 3), float64
     faces : ndarray, shape (G, 3), int64
+    part : ndarray, shape (Q,), int64
+        Of each position, as :func:`.crumbs.components` numbers those of the input.
     notes : list of str
         What went unseen.
     warnings : list of str
         What is lost, and the budget that would hold it.
-    """
-    p, f, _, notes, warnings = reduce_labelled(
-        positions, faces, n_triangles, seen, opaque, names, keep_hidden=keep_hidden, resolution=resolution, size=size
-    )
-    return p, f, notes, warnings
-
-
-def reduce_labelled(
-    positions: np.ndarray,
-    faces: np.ndarray,
-    n_triangles: int,
-    seen: np.ndarray,
-    opaque: np.ndarray,
-    names: np.ndarray,
-    *,
-    keep_hidden: bool = False,
-    resolution: int = 256,
-    size: int = 192,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str], list[str]]:
-    """
-    :func:`reduce_parts` with the part of each position, shape (Q,), after the faces: its component as
-    :func:`.crumbs.components` numbers them.
     """
     notes: list[str] = []
     label = components(faces, len(positions))

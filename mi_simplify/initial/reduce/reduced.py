@@ -119,9 +119,9 @@ class _Surface:
 
     def to(self, triangles: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[str], list[str]]:
         """Positions, faces, the component of each position, notes and warnings."""
-        from .parts import reduce_labelled  # traces rays
+        from .parts import reduce_parts  # traces rays
 
-        return reduce_labelled(
+        return reduce_parts(
             self._positions, self._faces, triangles, self._seen, self._opaque, self._names,
             keep_hidden=self._keep_hidden, resolution=self._resolution,
         )  # fmt: skip

@@ -25,22 +25,8 @@
       vec3 c = gl_FrontFacing ? clamp(color, 0.0, 1.0) : vec3(0.0);
       result = vec4(mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)), 1.0);
     }`;
-  const program = gl.createProgram();
-  for (const [type, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-    const shader = gl.createShader(type);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) || "WebGL failed");
-  gl.useProgram(program);
+  const program = webgl.program(gl, VERTEX, FRAGMENT);
   const toClip = gl.getUniformLocation(program, "toClip");
-
-  async function unpacked(text) {
-    const packed = new Blob([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))]);
-    return new Response(packed.stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
-  }
 
   // The sky turned by an angle: a Fourier series, (K, 3).
   function light() {
@@ -160,7 +146,7 @@
   new ResizeObserver(() => (changed = true)).observe(canvas);
 
   (async () => {
-    const content = await Promise.all([data.faces, data.positions.values, ...Object.values(data.transfer)].map(unpacked));
+    const content = await Promise.all([data.faces, data.positions.values, ...Object.values(data.transfer)].map(webgl.unpacked));
     const indices = new Uint32Array(content[0]);
     positions = new Int16Array(content[1]);
     transfer = Object.fromEntries(names.map((name, j) => [name, new Int16Array(content[2 + j])]));

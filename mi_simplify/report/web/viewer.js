@@ -66,27 +66,13 @@
       result = vec4(color, blend && mode != 6 ? alpha : 1.0);
     }`;
 
-  const program = gl.createProgram();
-  for (const [type, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
-    const shader = gl.createShader(type);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program) || "WebGL failed");
-  gl.useProgram(program);
+  const program = webgl.program(gl, VERTEX, FRAGMENT);
   const at = (name) => gl.getUniformLocation(program, name);
   const uniforms = Object.fromEntries(["toClip", "eye", "light", "mode", "cutoff", "blend"].map((k) => [k, at(k)]));
   const UNITS = ["base_color", "opacity", "gamma", "roughness", "metallic", "normal"];
   const DEFAULTS = { opacity: [255, 255, 255], gamma: [0, 0, 0], normal: [128, 128, 255] };
   UNITS.forEach((name, unit) => gl.uniform1i(at(name), unit));
   gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
-
-  async function unpacked(text) {
-    const packed = new Blob([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))]);
-    return new Response(packed.stream().pipeThrough(new DecompressionStream("deflate"))).arrayBuffer();
-  }
 
   function texture(name, source) {
     const target = gl.createTexture();
@@ -118,7 +104,7 @@
   ];
   async function upload(part) {
     const names = [...ATTRIBUTES.map(([name]) => name), "indices"].filter((name) => part[name]);
-    const content = await Promise.all(names.map((name) => unpacked(part[name])));
+    const content = await Promise.all(names.map((name) => webgl.unpacked(part[name])));
     const arrays = Object.fromEntries(names.map((name, k) => [name, content[k]]));
     const vertices = gl.createVertexArray();
     gl.bindVertexArray(vertices);
