@@ -50,6 +50,9 @@ ARGUMENTS = {
     "transports --asset sphere.ply --triangles 200 --out out --set": SHORT,
 }
 
+#: What a case needs beyond the packages for development.
+EXTRAS = {"transfer blend": ["torch", "onnxscript", "onnxruntime"]}
+
 #: Stands for an outside program.
 JUDGE = """
 import sys
@@ -69,6 +72,9 @@ def test_none_is_forgotten():
 @pytest.mark.slow
 @pytest.mark.parametrize("line", ARGUMENTS)
 def test_a_benchmark_runs(line, tmp_path, monkeypatch, capsys):
+    for start, modules in EXTRAS.items():
+        for module in modules if line.startswith(start) else []:
+            pytest.importorskip(module, reason=f"no {module}: install the extra 'transfer'")
     monkeypatch.chdir(tmp_path)
     bumpy_sphere(tmp_path)
     name, *arguments = line.split()
