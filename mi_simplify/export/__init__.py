@@ -8,10 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..config.schema import GlbSettings
+from ..formats.gltf.write import glb_bytes
 from ..formats.gltf.write import write_glb as write_glb
 from ..formats.load import load_asset
 from ..formats.obj.write import write_obj as write_obj
-from ..machine.files import make_folder
+from ..formats.packing import TexturePacker
+from ..formats.pixels.png import SOON
+from ..machine.files import make_folder, write_atomic
 from ..model.asset import Asset
 from ..model.model import Model
 from ..model.nodes.placing import expanded
@@ -128,6 +131,8 @@ def as_exported(model: Model) -> Asset:
 
     Ambient light, which files do not carry, stays.
     """
+    model = with_own_normals(model)
     with tempfile.TemporaryDirectory() as folder:
-        asset = load_asset(export_model(model, folder, formats=["glb"])["glb"])
+        textures = TexturePacker(model, SOON).pack(GlbSettings())
+        asset = load_asset(write_atomic(Path(folder) / "model.glb", glb_bytes(model, textures=textures)))
     return replace(asset, name=model.name, ambient=model.ambient, source="")  # the file is gone

@@ -18,7 +18,7 @@ from ..model.mips import filtered_levels, halved
 from ..model.model import Model
 from .pixels.basisu import encode_basis
 from .pixels.lossy import encode_jpeg, encode_webp
-from .pixels.png import encode_png
+from .pixels.png import SMALL, encode_png
 from .textures import Textures, encode_textures, to_8bit
 
 FLAT = (128, 128, 255)
@@ -100,10 +100,12 @@ class TexturePacker:
     Parameters
     ----------
     model : Model
+    level : int
+        Of PNG files, see :func:`.pixels.png.encode_png`.
     """
 
-    def __init__(self, model: Model):
-        self._chain = _Chain(model)
+    def __init__(self, model: Model, level: int = SMALL):
+        self._chain, self._level = _Chain(model), level
         self._found, self._factors = _constants(self._chain.finest)
         self._made: dict[tuple, Image] = {}
 
@@ -117,7 +119,7 @@ class TexturePacker:
     def _image(self, name: str, channels: Channels, settings: GlbSettings) -> Image:
         key = (name, settings.textures, _limit(settings, name), _quality(settings, name))
         if key not in self._made:
-            self._made[key] = _encoded(self._chain.levels(name, channels), settings, name)
+            self._made[key] = _encoded(self._chain.levels(name, channels), settings, name, self._level)
         return self._made[key]
 
 
@@ -223,7 +225,7 @@ class _Chain:
                 yield to_8bit(linear_to_srgb(linear))
 
 
-def _encoded(chain: Iterator[np.ndarray], settings: GlbSettings, name: str) -> Image:
+def _encoded(chain: Iterator[np.ndarray], settings: GlbSettings, name: str, level: int) -> Image:
     """The image at its size, in its format, with its further levels where the format holds any."""
     limit = _limit(settings, name)
     image = next(chain)
@@ -247,5 +249,5 @@ def _encoded(chain: Iterator[np.ndarray], settings: GlbSettings, name: str) -> I
     elif settings.textures == "jpeg" and (image.ndim == 2 or image.shape[2] == 3):
         content, mime = encode_jpeg(image, quality, data=data), "image/jpeg"
     else:
-        content, mime = encode_png(image), "image/png"
+        content, mime = encode_png(image, level), "image/png"
     return Image(content, mime, (width, height))

@@ -8,15 +8,14 @@ KHR_materials_specular's specular colour, a metallic one in its base colour, one
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 
 import numpy as np
-from PIL import Image
 
 from ..model.color import linear_to_srgb
 from ..model.light.emission import emission_of
 from ..model.model import Model
+from .pixels.png import SOON, encode_png
 
 HOLDS_AMBIENT = "emission_holds_ambient"
 """Key by which files of ours say so."""
@@ -148,10 +147,10 @@ def encode_normal(normal: np.ndarray) -> np.ndarray:
     """
     Unit vectors to 8-bit RGB, shape (H, W, 3): renormalised, kept above the surface as glTF asks.
     """
-    n = np.array(normal, np.float64)
+    n = np.array(normal, np.float32)
     n[..., 2] = np.maximum(n[..., 2], 0.0)
     length = np.linalg.norm(n, axis=-1, keepdims=True)
-    n = np.where(length > 1e-6, n / np.maximum(length, 1e-6), [0.0, 0.0, 1.0])
+    n = np.where(length > 1e-6, n / np.maximum(length, 1e-6), np.array([0, 0, 1], np.float32))
     return to_8bit(n * 0.5 + 0.5)
 
 
@@ -166,14 +165,12 @@ def png(image: np.ndarray) -> bytes:
     """
     An 8-bit image of 1 (H, W), 2, 3 or 4 channels as the bytes of a PNG file, soon rather than small.
     """
-    stream = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(stream, "PNG")
-    return stream.getvalue()
+    return encode_png(image, SOON)
 
 
 def _checked(name: str, texture: np.ndarray, channels: int) -> np.ndarray:
-    """The texture as float64, or an error that names it."""
-    texture = np.asarray(texture, np.float64)
+    """The texture as float32, or an error that names it."""
+    texture = np.asarray(texture, np.float32)
     if texture.ndim != 3 or texture.shape[2] != channels or not texture.size:
         raise ValueError(f"{name}: expected an image of shape (H, W, {channels}), got {texture.shape}")
     if not np.isfinite(texture).all():

@@ -15,6 +15,9 @@ from ..model.color import linear_to_srgb
 COVERED = 0.5
 """Coverage from which a pixel counts as covered."""
 
+FLIP_REACH = 24
+"""Pixels that FLIP's filters reach at 67 pixels per degree, one after the other, with a little more."""
+
 
 def tonemap(linear: np.ndarray) -> np.ndarray:
     """
@@ -67,13 +70,23 @@ def flip_maps(reference: np.ndarray, candidate: np.ndarray) -> np.ndarray:
         0 where no difference is seen, 1 at most.
     """
     a, b = _pair(reference, candidate)
-    maps = [
-        flip_evaluator.evaluate(
-            np.ascontiguousarray(x), np.ascontiguousarray(y), "LDR", applyMagma=False, computeMeanError=False
-        )[0]
-        for x, y in zip(tonemap(a), tonemap(b), strict=True)
-    ]
-    return np.asarray(maps, np.float32).reshape(a.shape[:3])
+    maps = np.zeros(a.shape[:3], np.float32)
+    for x, y, error in zip(tonemap(a), tonemap(b), maps, strict=True):
+        seen = _lit(x, y)  # where both are black for as far as the filters reach there is no error
+        pair = np.ascontiguousarray(x[seen]), np.ascontiguousarray(y[seen])
+        error[seen] = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False, computeMeanError=False)[0][..., 0]
+    return maps
+
+
+def _lit(a: np.ndarray, b: np.ndarray) -> tuple[slice, slice]:
+    """The least window outside which two images, shape (H, W, 3), are black, grown by what FLIP's filters reach."""
+    lit = (a + b).any(2)
+
+    def span(hit: np.ndarray) -> slice:
+        where = np.flatnonzero(hit)
+        return slice(max(0, where[0] - FLIP_REACH), where[-1] + 1 + FLIP_REACH) if len(where) else slice(0, 1)
+
+    return span(lit.any(1)), span(lit.any(0))
 
 
 def flip(reference: np.ndarray, candidate: np.ndarray) -> np.ndarray:
