@@ -92,7 +92,10 @@ class Character(Subject):
             fitted = np.concatenate([fitted, np.full(len(fitted), BIND_POSE)])
         else:
             weights = carried_weights(asset, model.mesh)
-        rigging = Rigging(weights, rig, boxes(asset), fitted, self.config.animation.influences, reach)
+        # Where joints carry whole parts, no vertex follows two of them: weights that the fit gave a part beside its own
+        # would have a body turn with its wheels.
+        rigid = not by_bones and all(part.skin is None for part in asset.parts)
+        rigging = Rigging(weights, rig, boxes(asset), fitted, self.config.animation.influences, reach, rigid)
         return replace(model, skin=rigging)
 
     def reference(self) -> Reference:

@@ -39,7 +39,8 @@ def test_texture_is_the_right_way_up(tmp_path):
     assert asset.n_triangles == 2 and part.normals is None
     np.testing.assert_allclose(face_normals(part), [[0, 0, 1]] * 2)
     np.testing.assert_array_equal(part.material.specular, [[[0, 0.5, 0]]])
-    assert asset.source == str(path) and asset.name == "quad" and asset.notes == ()
+    assert asset.source == str(path) and asset.name == "quad"
+    assert asset.notes == ("specular colour (Ks) of material 'paint' was left out: gloss is read from Pr and Pm",)
 
 
 def test_all_forms_of_corners_give_the_same_mesh(tmp_path):

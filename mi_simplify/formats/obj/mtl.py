@@ -3,7 +3,7 @@ Wavefront MTL material libraries as metallic-roughness materials.
 
 Read: ``Kd``, ``map_Kd``, ``d``, ``Tr``, ``map_d``, ``Ke``, ``map_Ke`` and the physically based extension ``Pr``,
 ``Pm``, ``map_Pr``, ``map_Pm``, ``norm``; of texture options ``-o``, ``-s`` and ``-clamp``. ``Ks`` and ``Ns`` are
-ignored (docs/conventions.md): the Phong lobe has no exact counterpart, and files carry them by habit. ``Kd`` is an sRGB
+left out with a line (docs/conventions.md): the Phong lobe has no exact counterpart. ``Kd`` is an sRGB
 colour, as three.js and most exporters to glTF take it, and a ``map_Kd`` replaces it; ``Ke`` is radiance, linear, and
 multiplies ``map_Ke`` where it is not black.
 """
@@ -80,6 +80,9 @@ def read_mtl(name: str, resources: Resources) -> dict[str, tuple[Material, tuple
                 places[value] = path, ambient
             elif key and not key.startswith("#"):
                 current[key] = value
+    phong = [name for name, values in statements.items() if any(_numbers(values.get("ks")))]
+    if phong:
+        resources.note(f"specular colour (Ks) of material {_listed(phong)} was left out: gloss is read from Pr and Pm")
     out = {}
     for name, values in statements.items():
         path, ambient = places[name]
@@ -218,6 +221,12 @@ def _texture(values: dict[str, str], key: str, library: _Library) -> np.ndarray 
         library.note(f"{key} was left out: its options are not those of the texture that it is joined with")
         return None
     return library.image(uri)
+
+
+def _listed(names: list[str], most: int = 3) -> str:
+    """Some names in one line."""
+    shown = ", ".join(f"'{printable(name)}'" for name in names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
 def _is_number(word: str) -> bool:

@@ -23,6 +23,7 @@ from ..resources import Resources
 from ..textures import HOLDS_AMBIENT
 from ..validate import check_indices
 from .layers import LONGEST, check_layers, reason_of, rehearse
+from .leftovers import note_leftovers
 from .material import bound_material, material_path
 from .mesh import Meshes
 from .primitives import TYPES
@@ -104,7 +105,8 @@ class _Stage:
         return self._finished(Asset(parts, instances, rig=rig))
 
     def _finished(self, asset: Asset) -> Asset:
-        """With what the layer says of itself."""
+        """With what the layer says of itself, and lines on what was not read."""
+        note_leftovers(self.stage, asset.rig is not None, self.resources.note)
         about = self.stage.GetRootLayer().customLayerData
         if about.get(HOLDS_AMBIENT):
             asset = without_ambient(asset, ambient_of(about.get("ambient")))

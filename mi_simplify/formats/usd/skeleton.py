@@ -134,8 +134,6 @@ class Skeletons:
             )
         if str(query.GetSkinningMethod()) == "dualQuaternion":
             self.resources.note(f"'{name}' asks for dual quaternions; it is skinned linearly")
-        if query.HasBlendShapes():
-            self.resources.note(f"blend shapes of '{name}' were left out")
         shape = (len(points), k)
         skin = make_skin(
             joints.reshape(shape), weights.reshape(shape), points, len(local), model, name, self.resources.note
