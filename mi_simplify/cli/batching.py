@@ -23,6 +23,7 @@ from .options import QUIET
 @click.option("--preset", metavar="NAME", help="fast, balanced or best.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Override a config key; repeatable.")
 @click.option("--jobs", "-j", type=click.IntRange(min=1), help="How many run at once; by default one a core.")
+@click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True, help="Cores for each of them.")
 @click.option("--address", metavar="HOST:PORT", help="A Ray cluster that runs, or 'auto'; by default this machine.")
 @click.option("--memory", metavar="SIZE", help="What one asset may take at most, such as 4GB.")
 @click.option("--timeout", type=click.FloatRange(min=0, min_open=True), help="What one asset may take at most [s].")
@@ -31,8 +32,8 @@ from .options import QUIET
 @click.option("--shard", metavar="I/N", default="1/1", help="Every N-th asset from the I-th on, for other schedulers.")
 @QUIET
 def batch(
-    sources, out, patterns, command, triangles, preset, settings, jobs, address, memory, timeout, retries, fail_fast,
-    shard, quiet,
+    sources, out, patterns, command, triangles, preset, settings, jobs, threads, address, memory, timeout, retries,
+    fail_fast, shard, quiet,
 ) -> int:  # fmt: skip
     """
     Simplify all models of SOURCE: folders, model files, and manifests in YAML, JSON or CSV.
@@ -57,7 +58,7 @@ def batch(
             parse_override(text)
         defaults["set"] = {key.strip(): value for key, _, value in (text.partition("=") for text in settings)}
     entries = read_entries(sources, patterns, defaults)
-    limits = Limits(None if memory is None else parse_size(memory), timeout)
+    limits = Limits(None if memory is None else parse_size(memory), timeout, threads)
     with display(quiet) as progress:
         made = batch_job(
             entries, Path(out), progress, address=address, jobs=jobs, limits=limits, retries=retries,

@@ -7,7 +7,7 @@ The bytes per texel, sample and triangle were measured: peaks of whole runs, one
 from __future__ import annotations
 
 from ..config import Config
-from ..formats.headers import said_triangles
+from ..formats.headers import said_image_bytes, said_triangles
 from ..machine import memory
 from ..model.asset import Asset
 
@@ -41,7 +41,7 @@ def footprint(config: Config, asset: Asset | None = None) -> dict[str, int]:
     ----------
     config : Config
     asset : Asset, optional
-        As loaded; without it, what its file says of its triangles counts, and its textures do not.
+        As loaded; without it, what its file says of its triangles and of its images counts.
     """
     fit, judged, pixels = config.optimizer, config.evaluation, max(config.optimizer.resolution) ** 2
     out = {
@@ -52,12 +52,26 @@ def footprint(config: Config, asset: Asset | None = None) -> dict[str, int]:
         "evaluation.resolution": _PER_JUDGED * judged.views * (3 + judged.baseline) * judged.resolution**2,
     }
     if asset is None:
-        out["asset"] = _PER_TRIANGLE * (said_triangles(config.asset) or 0)
+        out["asset"] = said_footprint(config.asset)
     else:
         materials = {id(part.material): part.material for part in asset.parts}.values()
         images = [image for m in materials for image in (m.base_color, m.specular, m.normal) if image is not None]
         out["asset"] = _PER_TRIANGLE * asset.n_triangles + _COPIES * sum(image.nbytes for image in images)
     return out
+
+
+def said_footprint(path: str, unknown: int = 0) -> int:
+    """
+    Memory that a model takes by its file's headers [bytes].
+
+    Parameters
+    ----------
+    path : str
+    unknown : int
+        Triangles of a file that does not say how many it has.
+    """
+    n_triangles = said_triangles(path)
+    return _PER_TRIANGLE * (unknown if n_triangles is None else n_triangles) + _COPIES * said_image_bytes(path)
 
 
 def check_footprint(config: Config, asset: Asset | None = None) -> None:

@@ -68,12 +68,12 @@ def ensure_variant(variant: str | None = None) -> str:
     Return the active Mitsuba variant, after setting ``variant`` where one is named.
 
     Where none is named and none is active, the environment's ``MI_SIMPLIFY_VARIANT`` is set, else
-    ``llvm_ad_rgb``.
+    ``llvm_ad_rgb``. ``MI_SIMPLIFY_THREADS`` says how many threads compute, where that is not one a core.
 
     Raises
     ------
     RuntimeUnavailable
-        The variant is not one of ``VARIANTS``, there is no usable LLVM, or no GPU for CUDA.
+        The variant is not one of ``VARIANTS``, there is no usable LLVM, no GPU for CUDA, or no such number of threads.
     """
     active = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
     wanted = variant or active or os.environ.get("MI_SIMPLIFY_VARIANT") or VARIANTS[0]
@@ -90,7 +90,19 @@ def ensure_variant(variant: str | None = None) -> str:
         require_cuda()
     if wanted != active:
         mi.set_variant(wanted)
+        _limit_threads(os.environ.get("MI_SIMPLIFY_THREADS", ""))
     return wanted
+
+
+def _limit_threads(text: str) -> None:
+    """The threads of Dr.Jit, and so of Mitsuba; sums of one thread are the same to the bit every time."""
+    import drjit as dr
+
+    if not text:
+        return
+    if not re.fullmatch(r"0*[1-9]\d{0,3}", text):
+        raise RuntimeUnavailable(f"MI_SIMPLIFY_THREADS is '{text}'; set it to a number from 1 on, or unset it")
+    dr.set_thread_count(int(text))
 
 
 def require_cuda() -> None:

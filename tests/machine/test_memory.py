@@ -6,11 +6,13 @@ import struct
 
 import numpy as np
 import pytest
+from support.tiny_models import Glb
 
 from mi_simplify import cli
 from mi_simplify.config import load_config
 from mi_simplify.errors import ConfigError, MemoryLimitError
-from mi_simplify.formats.headers import said_triangles
+from mi_simplify.formats.headers import said_image_bytes, said_triangles
+from mi_simplify.formats.load import load_asset
 from mi_simplify.jobs.footprint import check_footprint, footprint
 from mi_simplify.machine import memory
 from mi_simplify.model.asset import Asset, Instance, Part
@@ -93,6 +95,20 @@ def test_what_a_file_says_of_itself_is_refused_before_it_is_read(tmp_path, capsy
             path.write_bytes(damaged)
             assert said_triangles(path) in (None, 0)
     assert said_triangles(tmp_path / "none.ply") is None and said_triangles("sample:relic") is None
+
+
+def test_what_a_file_says_of_its_images_is_what_they_take(tmp_path):
+    glb, pixels = Glb(), np.zeros((16, 32, 3), np.uint8)
+    colour, rough = ({"index": glb.texture(pixels[:size])} for size in (16, 8))
+    metal = {"baseColorTexture": colour, "metallicRoughnessTexture": rough}
+    glb.mesh(glb.quad(glb.material(pbrMetallicRoughness=metal)))
+    path = glb.save(tmp_path / "model.glb")
+    assert said_image_bytes(path) == 4 * (4 * 16 * 32 + 3 * 8 * 32)
+    config = load_config(None, [{"asset": str(path)}])
+    assert footprint(config)["asset"] == pytest.approx(footprint(config, load_asset(path))["asset"], rel=0.01)
+    for damaged in (b"", b"glTF", bytes(90)):
+        (tmp_path / "model.glb").write_bytes(damaged)
+        assert said_image_bytes(path) == 0
 
 
 @pytest.mark.parametrize("dry", [[], ["--dry-run"]])

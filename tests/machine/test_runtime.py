@@ -153,6 +153,13 @@ def test_the_variant_is_the_named_one_then_the_active_one_then_the_environments(
     assert run_python(program + "print(ensure_variant())", MI_SIMPLIFY_VARIANT="").stdout.strip() == "llvm_ad_rgb"
 
 
+def test_the_environment_may_say_how_many_threads_compute():
+    program = "from mi_simplify.machine.runtime import ensure_variant\nensure_variant()\nimport drjit as dr\n"
+    done = run_python(program + "print(dr.thread_count())", MI_SIMPLIFY_THREADS="1")
+    assert done.stdout.strip() == "1", done.stderr
+    assert "MI_SIMPLIFY_THREADS is 'many'; set it to a number" in run_python(program, MI_SIMPLIFY_THREADS="many").stderr
+
+
 @pytest.mark.parametrize(
     ("version", "message"),
     [(15, "the LLVM that Dr.Jit loaded is version 15, which aborts"), (-1, "Dr.Jit found no libLLVM")],

@@ -5,7 +5,7 @@ A batch: entries that are left are made, each ends as a line on the disk, and a 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,11 +15,9 @@ from ...progress import Progress, ProgressCallback, in_words, silent
 from .cluster import Cluster
 from .entries import Entry
 from .ledger import Ledger, Outcome
+from .needs import expected_memory
 from .overview import write_overview
 from .work import Limits
-
-#: Memory of a job of next to nothing, and for each byte of a model file while it is read and decimated [bytes].
-_BASE, _PER_BYTE = 1200 << 20, 16
 
 #: The page is written anew this often while the batch runs [s].
 _PAGE_EVERY = 20.0
@@ -98,7 +96,9 @@ def batch_job(
     Raises
     ------
     UserError
-        The folder cannot be written, or there is no Ray.
+        The folder cannot be written, the disk is full, or there is no Ray.
+    KeyboardInterrupt
+        Ctrl-C: what was running is ended, and goes on from its checkpoint the next time.
     """
     limits = limits or Limits()
     ledger = Ledger(Path(out), entries)
@@ -107,13 +107,16 @@ def batch_job(
     course = _Course(progress, len(mine), len(left))
     show = partial(write_overview, ledger.folder, entries, ledger.outcomes)
     show()
+    memory = partial(expected_memory, limit=limits.memory)
     if left:
         try:
-            with Cluster(address, jobs) as cluster:
+            with Cluster(address, jobs, limits.threads) as cluster:
                 for attempt in range(retries + 1):
                     again = set()
-                    for outcome in cluster.run(left, ledger.fingerprints, ledger.folder, limits, _memory(limits)):
-                        if outcome is not None:
+                    for outcome in cluster.run(left, ledger.fingerprints, ledger.folder, limits, memory):
+                        if outcome is None:
+                            course.running = cluster.running
+                        else:
                             ledger.append(outcome)
                             course.report(outcome)
                             if outcome.code not in (0, 2) and attempt < retries:
@@ -123,6 +126,8 @@ def batch_job(
                         if course.page_is_due():
                             show()
                     left = [e for e in left if e.name in again]
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{course.done} of {len(mine)} are done; the same command goes on") from None
         finally:
             show()
     return Batch(ledger.folder, mine, {e.name: ledger.outcomes[e.name] for e in mine if e.name in ledger.outcomes})
@@ -134,20 +139,26 @@ class _Course:
     def __init__(self, progress: ProgressCallback, n_entries: int, n_left: int):
         self.progress, self.n_entries, self.n_left = progress, n_entries, n_left
         self.ended: dict[str, int] = {}
+        self.running = 0
         self.begin = self.page = time.monotonic()
+
+    @property
+    def done(self) -> int:
+        """Entries that ended, now and earlier."""
+        return self.n_entries - self.n_left + len(self.ended)
 
     def report(self, outcome: Outcome) -> None:
         """Of one that ended."""
         self.ended[outcome.name] = outcome.code
         notes = [f"{outcome.name}: {outcome.line}" if outcome.code else outcome.name]
-        failed = sum(code != 0 for code in self.ended.values()) if outcome.code else 0
+        failed = sum(code != 0 for code in self.ended.values())
         if failed:
             notes.append(f"{failed} failed")
         rest = self.n_left - len(self.ended)
         if rest:
+            notes += [f"{min(self.running, rest)} running"] if self.running else []
             notes.append(f"about {in_words((time.monotonic() - self.begin) / len(self.ended) * rest)} left")
-        done = self.n_entries - self.n_left + len(self.ended)
-        self.progress(Progress("batch", done, self.n_entries, message=", ".join(notes)))
+        self.progress(Progress("batch", self.done, self.n_entries, message=", ".join(notes)))
 
     def page_is_due(self) -> bool:
         """Whether the page is to be written anew."""
@@ -155,17 +166,3 @@ class _Course:
         if due:
             self.page = time.monotonic()
         return due
-
-
-def _memory(limits: Limits) -> Callable[[Entry], int]:
-    """What an entry is expected to take [bytes]: its limit, or by the size of its file."""
-
-    def expected(entry: Entry) -> int:
-        if entry.command == "none":
-            return 1 << 20
-        if limits.memory is not None:
-            return limits.memory
-        path = Path(entry.asset)
-        return _BASE + _PER_BYTE * (path.stat().st_size if path.is_file() else 0)
-
-    return expected

@@ -34,6 +34,8 @@ class Cluster:
         Of a cluster; ``auto`` for the one that this machine belongs to. Without it one is started for the batch alone.
     jobs : int, optional
         How many entries run at once; as many as there are cores and memory for, without it.
+    threads : int
+        Cores that each of them takes.
 
     Raises
     ------
@@ -41,7 +43,7 @@ class Cluster:
         Ray is not installed, or nothing answers at the address.
     """
 
-    def __init__(self, address: str | None = None, jobs: int | None = None):
+    def __init__(self, address: str | None = None, jobs: int | None = None, threads: int = 1):
         try:
             import ray
         except ImportError:
@@ -49,14 +51,14 @@ class Cluster:
                 "batch needs Ray, which is not installed: pip install 'mi-simplify[batch]'; or use --shard with a "
                 "scheduler of your own"
             ) from None
-        self._ray, self._address, self._jobs = ray, address, jobs
+        self._ray, self._address, self._jobs, self._threads = ray, address, jobs, threads
 
     def __enter__(self) -> Cluster:
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: whatever else runs would come first
         options: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
         if self._address is None:
-            cpus = self._jobs or os.cpu_count() or 1
+            cpus = self._threads * self._jobs if self._jobs else max(os.cpu_count() or 1, self._threads)
             options |= {"num_cpus": cpus, "include_dashboard": False}
         else:
             _require_answer(self._address)
@@ -71,9 +73,17 @@ class Cluster:
         self._ray.shutdown()
 
     @property
-    def slots(self) -> int:
-        """How many entries run at once, as far as cores decide."""
-        return max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+    def running(self) -> int:
+        """How many entries run now, by the cores that they hold."""
+        held = self._ray.cluster_resources().get("CPU", 0) - self._ray.available_resources().get("CPU", 0)
+        return round(max(held, 0) / self._threads)
+
+    @property
+    def _ahead(self) -> int:
+        """Entries that Ray is given at once: all that may run, or more where nothing but cores decides how many do."""
+        if self._jobs and self._address:
+            return self._jobs
+        return _AHEAD * max(1, int(self._ray.cluster_resources().get("CPU", 1)) // self._threads)
 
     def run(
         self,
@@ -92,12 +102,11 @@ class Cluster:
             What an entry is expected to take [bytes]; only as many run on a node as fit.
         """
         ray = self._ray
-        task = ray.remote(max_retries=_SYSTEM_RETRIES, num_cpus=1)(work)
+        task = ray.remote(max_retries=_SYSTEM_RETRIES, num_cpus=self._threads)(work)
         room = self._largest_memory()
         todo = iter(entries)
         running: dict[Any, Entry] = {}
-        ahead = _AHEAD * (self._jobs or self.slots)
-        done = False
+        ahead, done = self._ahead, False
         while True:
             while not done and len(running) < ahead:
                 entry = next(todo, None)

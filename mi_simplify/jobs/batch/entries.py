@@ -69,9 +69,15 @@ class Entry(Section):
             line += ["--triangles", self.triangles]
         if self.preset:
             line += ["--preset", self.preset]
-        for key, value in self.settings.items():
-            line += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
-        return line
+        return [*line, *(word for text in self.layers() for word in ("--set", text))]
+
+    def layers(self) -> list[str]:
+        """
+        Its settings as overrides of a configuration, ``KEY=VALUE``.
+        """
+        return [
+            f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in self.settings.items()
+        ]
 
 
 def read_entries(sources: Iterable[str], patterns: Iterable[str], defaults: Mapping[str, Any]) -> list[Entry]:

@@ -4,6 +4,7 @@ What is on the disk of a batch: its manifest, one line for each asset that ended
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Sequence
@@ -93,7 +94,9 @@ class Ledger:
         """The newest outcome of every entry that is as it was; what ended without its line, too."""
         out = self.outcomes
         path = self.folder / RESULTS
-        lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+        lines = text.splitlines()
+        self._is_torn = bool(text) and not text.endswith("\n")
         for outcome in map(Outcome.of_line, lines):
             if outcome is not None and self.fingerprints.get(outcome.name) == outcome.fingerprint:
                 out[outcome.name] = outcome
@@ -118,9 +121,11 @@ class Ledger:
         try:
             handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
             try:
-                line = (outcome.as_line() + "\n").encode()
+                line = ("\n" * self._is_torn + outcome.as_line() + "\n").encode()
+                self._is_torn = False
                 if os.write(handle, line) < len(line):
-                    raise OSError(28, "No space left on device")
+                    self._is_torn = True
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             finally:
                 os.close(handle)
         except OSError as error:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import json
 import os
 import signal
@@ -15,6 +16,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ...errors import OutputError
 from ...machine.files import make_folder, write_atomic
 from ...machine.memory import shown_size
 from .entries import Entry
@@ -30,11 +32,12 @@ OVER_LIMIT = 3
 @dataclass(frozen=True)
 class Limits:
     """
-    What one entry may take: resident memory [bytes] and time [s]; None for as much as it likes.
+    What one entry may take: resident memory [bytes] and time [s], None for as much as it likes, and threads.
     """
 
     memory: int | None = None
     seconds: float | None = None
+    threads: int = 1
 
 
 def work(entry: Entry, fingerprint: str, folder: str, limits: Limits) -> Outcome:
@@ -45,6 +48,11 @@ def work(entry: Entry, fingerprint: str, folder: str, limits: Limits) -> Outcome
     -------
     Outcome
         Also written into the entry's folder where it is done; a failed one leaves nothing that was not there.
+
+    Raises
+    ------
+    OutputError
+        The disk is full, which is not this entry's fault and would be that of all others.
     """
     out = Path(folder, entry.name)
     if entry.command == "none":
@@ -65,9 +73,10 @@ def work(entry: Entry, fingerprint: str, folder: str, limits: Limits) -> Outcome
 def _ran(entry: Entry, fingerprint: str, out: Path, flag: str, limits: Limits) -> Outcome:
     begin, peak = time.monotonic(), 0.0
     command = [sys.executable, "-m", "mi_simplify", *entry.arguments(out), flag]
+    threads = dict.fromkeys(("MI_SIMPLIFY_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(limits.threads))
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        errors="replace", preexec_fn=_die_with_parent if sys.platform == "linux" else None,
+        errors="replace", env=os.environ | threads, preexec_fn=_die_with_parent if sys.platform == "linux" else None,
     )  # fmt: skip
     over = ""
     while True:
@@ -87,6 +96,8 @@ def _ran(entry: Entry, fingerprint: str, out: Path, flag: str, limits: Limits) -
         code, line = OVER_LIMIT, over
     elif code < 0:
         line = f"killed by {signal.Signals(-code).name}" + (f" after: {line}" if line else "")
+    if code and any(os.strerror(number) in line for number in (errno.ENOSPC, errno.EDQUOT)):
+        raise OutputError(f"{line.partition('; ')[0]}; make room, and the same command goes on")
     return Outcome(entry.name, fingerprint, code, line if code else "", time.monotonic() - begin, peak)
 
 

@@ -1,6 +1,7 @@
 """What is on the disk of a batch, whatever interrupted it; and the page of it."""
 
 import json
+import os
 
 import pytest
 
@@ -9,6 +10,7 @@ from mi_simplify.jobs.batch import work
 from mi_simplify.jobs.batch.batch import Batch
 from mi_simplify.jobs.batch.entries import Entry
 from mi_simplify.jobs.batch.ledger import Ledger, Outcome
+from mi_simplify.jobs.batch.needs import expected_memory
 from mi_simplify.jobs.batch.overview import write_overview
 
 
@@ -56,10 +58,40 @@ def test_a_torn_line_is_followed_by_a_whole_one(tmp_path):
 
 
 def test_a_full_disk_is_one_line(tmp_path, monkeypatch):
-    ledger = Ledger(tmp_path, entries(1))
-    monkeypatch.setattr("os.write", lambda handle, line: 3)
+    ours = entries(1)
+    ledger = Ledger(tmp_path, ours)
+    write = os.write
+    monkeypatch.setattr("os.write", lambda handle, line: write(handle, line[:3]))
     with pytest.raises(OutputError, match=r"cannot write .*results\.jsonl: No space left on device"):
-        ledger.append(outcome(entries(1)[0]))
+        ledger.append(outcome(ours[0], 2))
+    monkeypatch.undo()  # somebody made room
+    ledger.append(outcome(ours[0], 2))
+    assert Ledger(tmp_path, ours).outcomes == {"m0": outcome(ours[0], 2)}
+
+
+def test_a_full_disk_is_not_the_fault_of_an_entry(tmp_path, monkeypatch):
+    program = tmp_path / "program"
+    program.write_text(
+        "#!/bin/sh\necho error: cannot write m0: No space left on device\\; choose another >&2\nexit 2\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr(work.sys, "executable", str(program))
+    with pytest.raises(OutputError, match="^cannot write m0: No space left on device; make room, and the same command"):
+        work.work(Entry(asset="a.ply", name="m0"), "f", str(tmp_path), work.Limits())
+
+
+def test_memory_is_forecast_by_settings_and_headers(tmp_path):
+    path = tmp_path / "a.obj"
+    path.write_text("v 0 0 0\n" * 100_000)
+    entry = Entry(asset=str(path), name="a")
+    expected = expected_memory(entry)
+    assert 1 << 30 < expected < 3 << 30
+    assert expected_memory(entry.model_copy(update={"settings": {"initial.atlas_size": 2048}})) > expected + (2 << 30)
+    assert expected_memory(entry, 5 << 30) == 5 << 30
+    assert expected_memory(entry.model_copy(update={"command": "none"})) == 1 << 20
+    assert expected_memory(entry.model_copy(update={"settings": {"initial.atlas": 1}})) > 1 << 29  # it fails by itself
+    path.write_text("v 0 0 0\n" * 10_000_000)
+    assert expected_memory(entry) > expected + (2 << 30)
 
 
 def test_exit_codes_say_whose_fault_it_was(tmp_path):
