@@ -16,7 +16,8 @@ from mi_simplify.formats.obj.write import write_obj
 from mi_simplify.judging import switching
 
 ARGUMENTS = {
-    "batch --nothing 20 --out out": [],
+    "batch nothing --n 20 --out out": [],
+    "batch kills --n 1 --times 1 --out out --set": SHORT,
     "bytes sphere.ply:200 --shares 8 --out out --set": SHORT,
     "characters sample:walker --triangles 300 --out out --set": [
         *SHORT,

@@ -2,9 +2,13 @@
 Every command and every Python snippet of README.md and docs/ runs, in a folder with the files that they name.
 """
 
+import json
 import re
 import shlex
 import shutil
+import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +107,56 @@ def test_a_documented_command_succeeds(line, workplace, finished, capsys):
     for folder in {"out/statue", "out/demo"} - {written}:
         shutil.copytree(finished, workplace / folder)
     assert run(line) == 0, capsys.readouterr().err
+
+
+def documented(start: str, **words: object) -> list[str]:
+    """Words of the line of docs/batch.md that begins so, with others for those that stand for something."""
+    line = next(x for b in blocks(ROOT / "docs" / "batch.md", "text") for x in b.splitlines() if x.startswith(start))
+    for word, value in words.items():
+        line = line.replace(word, str(value))
+    return shlex.split(line, comments=True)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # of Ray
+def test_the_documented_cluster_makes_the_library(workplace, monkeypatch):
+    pytest.importorskip("ray", reason="the extra [batch]")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    monkeypatch.setenv("RAY_ADDRESS", f"127.0.0.1:{port}")  # what 'auto' means where several clusters run
+    ray = [str(Path(sys.executable).with_name("ray"))]
+    head = [*documented("ray start --head")[1:], f"--port={port}"]
+    other = documented("ray start --address", HEAD="127.0.0.1", **{"6379": port})[1:]
+    nodes = []
+    try:
+        for line in (head, other):
+            options = ["--num-cpus=1", "--include-dashboard=false"] if line is head else ["--num-cpus=1"]
+            nodes.append(subprocess.Popen([*ray, *line, *options, "--block"], stdout=subprocess.DEVNULL))
+            while socket.socket().connect_ex(("127.0.0.1", port)):
+                assert nodes[0].poll() is None
+        line = documented("mi-simplify batch", **{"/shared": workplace / "shared"})
+        assert run(shlex.join(line)) == 0
+    finally:
+        for node in reversed(nodes):
+            node.terminate()
+            node.wait(60)
+    lines = [json.loads(x) for x in (workplace / "shared" / "library" / "results.jsonl").read_text().splitlines()]
+    assert sorted((x["name"], x["code"]) for x in lines) == [("statue", 0), ("statue-far", 0)]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # of Ray
+def test_the_documented_array_of_slurm_takes_every_asset_once(workplace):
+    """As a dry line: what a job of the array runs, with its number, and assets of which nothing is made."""
+    pytest.importorskip("ray", reason="the extra [batch]")
+    sbatch, array, wrap, line = documented("sbatch", **{"/shared": workplace / "shared"})
+    first, last = map(int, re.fullmatch(r"--array=(\d+)-(\d+)", array).groups())
+    assert (sbatch, wrap) == ("sbatch", "--wrap") and line.endswith(f"/{last}")
+    for k in range(first, last + 1):
+        assert cli.main([*shlex.split(line.replace("$SLURM_ARRAY_TASK_ID", str(k)))[1:], "--command", "none"]) == 0
+    lines = [json.loads(x) for x in (workplace / "shared" / "library" / "results.jsonl").read_text().splitlines()]
+    assert sorted(x["name"] for x in lines) == ["statue", "statue-far"]
 
 
 @pytest.mark.slow

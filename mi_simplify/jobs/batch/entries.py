@@ -21,6 +21,7 @@ from ...config.problems import validated
 from ...config.section import Section, names_no_file
 from ...errors import ConfigError
 from ...formats.load import READERS
+from .remote import file_name, is_address, require_store, version_of
 
 Command = Literal["simplify", "lod", "bake", "evaluate", "none"]
 
@@ -28,7 +29,7 @@ Command = Literal["simplify", "lod", "bake", "evaluate", "none"]
 class Entry(Section):
     """One asset of a batch, and what is done with it."""
 
-    asset: str = Field(description="Model file, relative to the manifest, or `sample:NAME`.")
+    asset: str = Field(description="Model file, relative to the manifest, an address, or `sample:NAME`.")
     name: str = Field("", description="Folder of its results below OUT; the file's name by default.")
     command: Command = Field("simplify", description="`none` writes its line and nothing else.")
     triangles: str = Field("", description="Budget of `simplify`, or budgets of `lod` such as `9000,3000`.")
@@ -58,6 +59,8 @@ class Entry(Section):
             if Path(path).is_file():
                 with open(path, "rb") as file:
                     digest.update(hashlib.file_digest(file, "sha256").digest())
+            elif is_address(path):
+                digest.update(version_of(path).encode())
         return digest.hexdigest()[:32]
 
     def arguments(self, out: Path) -> list[str]:
@@ -97,6 +100,10 @@ def read_entries(sources: Iterable[str], patterns: Iterable[str], defaults: Mapp
     ------
     ConfigError
         A manifest cannot be read, a source is not there, a folder holds nothing, two entries have one name.
+    AssetError
+        An address is of no single file that holds a model.
+    RuntimeUnavailable
+        There is an address, and no fsspec.
     """
     patterns = list(patterns)
     found: list[Entry] = []
@@ -119,6 +126,8 @@ def read_entries(sources: Iterable[str], patterns: Iterable[str], defaults: Mapp
             found.append(validated(Entry, {**defaults, "asset": str(path.resolve())}))
     if not found:
         raise ConfigError("there is nothing to do: the manifest holds no assets")
+    for name in (name for entry in found for name in (entry.asset, *entry.files) if is_address(name)):
+        require_store(name)
     return _named(found)
 
 
@@ -203,7 +212,7 @@ def _distinct(paths: list[Path]) -> list[str]:
 def _named(entries: list[Entry]) -> list[Entry]:
     """Entries without a name are called like their file."""
     nameless = [e for e in entries if not e.name]
-    names = iter(_distinct([Path(Path(e.asset).name.replace(":", "-")) for e in nameless]))
+    names = iter(_distinct([Path(file_name(e.asset).replace(":", "-")) for e in nameless]))
     named = [e if e.name else e.model_copy(update={"name": next(names)}) for e in entries]
     twice = [name for name, n in Counter(e.name for e in named).items() if n > 1]
     if twice:

@@ -8,6 +8,7 @@ import errno
 import json
 import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from ...machine.files import make_folder, output_error, write_atomic
 from .entries import Entry
 
 MANIFEST, RESULTS, DONE = "manifest.json", "results.jsonl", "batch.json"
+
+#: Files that are looked at at once, here or behind addresses.
+_READERS = 16
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,9 @@ class Ledger:
 
     def __init__(self, folder: Path, entries: Sequence[Entry]):
         self.folder = make_folder(folder)
-        self.fingerprints = {e.name: e.fingerprint() for e in entries}
+        with ThreadPoolExecutor(_READERS) as pool:
+            found = pool.map(Entry.fingerprint, entries)
+            self.fingerprints = {e.name: x for e, x in zip(entries, found, strict=True)}
         rows = [e.model_dump(mode="json") | {"fingerprint": self.fingerprints[e.name]} for e in entries]
         document = {"generator": f"mi_simplify {__version__}", "assets": rows}
         write_atomic(self.folder / MANIFEST, json.dumps(document, indent=1, ensure_ascii=False) + "\n")

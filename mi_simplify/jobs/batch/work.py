@@ -9,6 +9,7 @@ import ctypes
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,11 +17,12 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ...errors import OutputError
+from ...errors import AssetError, OutputError
 from ...machine.files import make_folder, write_atomic
 from ...machine.memory import shown_size
 from .entries import Entry
 from .ledger import DONE, Outcome
+from .remote import fetched, is_address
 
 #: How often a running process is looked at [s].
 _INTERVAL = 0.1
@@ -59,14 +61,28 @@ def work(entry: Entry, fingerprint: str, folder: str, limits: Limits) -> Outcome
         outcome = Outcome(entry.name, fingerprint, 0)
         make_folder(out)
     else:
-        resumable = entry.command == "simplify" and (out / "checkpoint").is_dir()
-        outcome = _ran(entry, fingerprint, out, "--resume" if resumable else "--overwrite", limits)
-        if resumable and outcome.code == 2:  # a checkpoint of other settings
-            outcome = _ran(entry, fingerprint, out, "--overwrite", limits)
-        if outcome.code == 0:
-            outcome = replace(outcome, figures=_figures(entry, out))
+        outcome = _made(entry, fingerprint, out, limits)
     if outcome.code == 0:
         write_atomic(out / DONE, outcome.as_line() + "\n")
+    return outcome
+
+
+def _made(entry: Entry, fingerprint: str, out: Path, limits: Limits) -> Outcome:
+    """By its command, with copies of files that are behind addresses; these stay for an entry that is tried again."""
+    copies = out.with_name(f".fetched-{fingerprint}")
+    try:
+        asset, *files = (fetched(x, copies) if is_address(x) else x for x in (entry.asset, *entry.files))
+    except AssetError as error:
+        return Outcome(entry.name, fingerprint, error.exit_code, str(error))
+    here = entry.model_copy(update={"asset": str(asset), "files": tuple(map(str, files))})
+    resumable = entry.command == "simplify" and (out / "checkpoint").is_dir()
+    outcome = _ran(here, fingerprint, out, "--resume" if resumable else "--overwrite", limits)
+    if resumable and outcome.code == 2:  # a checkpoint of other settings
+        outcome = _ran(here, fingerprint, out, "--overwrite", limits)
+    if outcome.code == 0:
+        outcome = replace(outcome, figures=_figures(here, out))
+    if outcome.code in (0, 2):
+        shutil.rmtree(copies, ignore_errors=True)
     return outcome
 
 
