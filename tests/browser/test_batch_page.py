@@ -36,3 +36,25 @@ def test_rows_are_sorted_and_searched(browser, tmp_path):
     assert page.eval_on_selector_all("img", "images => images.every(i => i.complete && i.naturalWidth)")
     assert problems == []
     page.close()
+
+
+def test_of_many_the_first_are_shown_and_all_are_searched(browser, tmp_path):
+    entries = [Entry(asset=f"m{k}.obj", name=f"m{k:05}") for k in range(1200)]
+    outcomes = {e.name: Outcome(e.name, "f", 0, figures={"psnr": 20 + k / 100}) for k, e in enumerate(entries)}
+    page = browser.new_page()
+    page.goto(write_overview(tmp_path, entries, outcomes).as_uri())
+
+    def names() -> list[str]:
+        return page.eval_on_selector_all("tbody tr", "rows => rows.map(r => r.cells[1].dataset.value)")
+
+    assert names() == [e.name for e in entries[:500]]
+    page.click("th[data-key=psnr] button")
+    page.click("th[data-key=psnr] button")
+    assert names() == [e.name for e in entries[:-501:-1]]
+    page.fill("#search", "m0010")
+    assert names() == [f"m0010{k}" for k in range(9, -1, -1)] and page.is_hidden("#more")
+    page.fill("#search", "M00")
+    assert page.inner_text("#more") == "Show all 1000"
+    page.click("#more")
+    assert len(names()) == 1000 and page.is_hidden("#more")
+    page.close()

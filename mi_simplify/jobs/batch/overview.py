@@ -19,6 +19,9 @@ from .thumbnail import THUMBNAIL
 
 PAGE = "index.html"
 
+#: Rows that the page shows at first.
+_MOST = 500
+
 
 def write_overview(folder: Path, entries: Sequence[Entry], outcomes: Mapping[str, Outcome]) -> Path:
     """
@@ -33,6 +36,7 @@ def write_overview(folder: Path, entries: Sequence[Entry], outcomes: Mapping[str
     page = render(
         "batch.html",
         rows=rows,
+        most=_MOST,
         counts=counts,
         style=Markup(web_file("style.css")),
         script=Markup(script),

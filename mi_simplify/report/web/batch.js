@@ -1,8 +1,23 @@
 "use strict";
-// The table of a batch: sorted by a column, filtered by a text.
+// The table of a batch: sorted by a column, filtered by a text. Of many rows only the first are in the page until the
+// others are asked for: a browser takes seconds to lay out ten thousand.
 const body = document.querySelector(".batch tbody");
+const more = document.getElementById("more");
+const search = document.getElementById("search");
 const rows = [...body.rows];
-for (const row of rows) row.text = row.textContent.toLowerCase();
+for (const row of rows) {
+  row.text = row.textContent.toLowerCase();
+  row.hidden = false;
+}
+let most = Number(body.dataset.most);
+
+function show() {
+  const wanted = search.value.toLowerCase();
+  const found = rows.filter((row) => row.text.includes(wanted));
+  body.replaceChildren(...found.slice(0, most));
+  more.hidden = found.length <= most;
+  more.textContent = `Show all ${found.length}`;
+}
 
 for (const head of document.querySelectorAll("th[data-key]")) {
   head.querySelector("button").addEventListener("click", () => {
@@ -17,11 +32,13 @@ for (const head of document.querySelectorAll("th[data-key]")) {
       const order = number ? x - y : x.localeCompare(y);
       return rising ? order : -order;
     });
-    body.replaceChildren(...rows);
+    show();
   });
 }
 
-document.getElementById("search").addEventListener("input", (event) => {
-  const wanted = event.target.value.toLowerCase();
-  for (const row of rows) row.hidden = !row.text.includes(wanted);
+search.addEventListener("input", show);
+more.addEventListener("click", () => {
+  most = rows.length;
+  show();
 });
+show();
