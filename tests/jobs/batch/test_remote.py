@@ -85,7 +85,7 @@ def test_a_result_of_an_address_is_that_of_its_file(served, tmp_path):
     path = bumpy_sphere(folder, 10)
     settings = {"optimizer.steps": 0, "initial.atlas_size": 64, "evaluation.views": 1, "evaluation.resolution": 32}
     ended = [
-        work.work(Entry(asset=asset, name=name, triangles="60", settings=settings), "f", str(tmp_path), work.Limits())
+        work.work(Entry(asset=asset, name=name, triangles="60", set=settings), "f", str(tmp_path), work.Limits())
         for name, asset in (("near", str(path)), ("far", f"{address}/{path.name}"))
     ]
     assert [outcome.code for outcome in ended] == [0, 0], ended
