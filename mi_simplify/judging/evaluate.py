@@ -102,10 +102,17 @@ def compare_assets(
     reference = frame.normalised(reference)
     candidates = {name: frame.normalised(asset) for name, asset in candidates.items()}
     views = held_out_views(reference.bounds, judging.n_views, judging.resolution, judging.seed)
-    target = Rendering(reference, PathTraced(reference, judging.spp))
-    others = {name: Rendering(asset, PathTraced(asset, judging.spp)) for name, asset in candidates.items()}
+    target = Rendering(reference, PathTraced(reference, half(judging.spp)))
+    others = {name: Rendering(asset, PathTraced(asset, half(judging.spp))) for name, asset in candidates.items()}
     settings = {"spp": judging.spp, "seed": judging.seed, "max_depth": MAX_DEPTH, "sky": SKY}
     return compare_renderings(target, others, views, settings, progress)
+
+
+def half(spp: int) -> int:
+    """
+    Samples per pixel of each of the two renderings that make a picture of ``spp``.
+    """
+    return max(1, spp // 2)
 
 
 @dataclass(frozen=True)
@@ -132,11 +139,12 @@ def compare_renderings(
     progress: ProgressCallback | None = None,
 ) -> Comparison:
     """
-    Render all of them from the same views, and measure.
+    Render all of them from the same views, twice each with noise of its own, and measure.
 
     Parameters
     ----------
     reference : Rendering
+        Its renderer makes half of the samples of a picture, as those of all candidates do: :func:`half`.
     candidates : mapping of str to Rendering
     views : Views
         In the frame of all renderers.
@@ -152,20 +160,23 @@ def compare_renderings(
     """
     progress = progress or silent
     renderings, n_views, seed = {"": reference, **candidates}, len(views), settings["seed"]
-    images: dict[str, np.ndarray] = {}
+    halves: dict[str, np.ndarray] = {}
     for name, rendering in renderings.items():
-        parts = []
+        halves[name] = pairs = np.empty((2, n_views, views.height, views.width, 4), np.float32)
         for k in range(n_views):
-            parts.append(rendering.renderer.render(views.take(np.array([k])), seed * n_views + k))
-            progress(Progress("evaluate", len(images) * n_views + k + 1, len(renderings) * n_views))
-        images[name] = _finite(np.concatenate(parts), rendering.asset.name)
+            for half in range(2):
+                number = (2 * seed + half) * n_views + k
+                pairs[half, k] = rendering.renderer.render(views.take(np.array([k])), number)[0]
+            progress(Progress("evaluate", (len(halves) - 1) * n_views + k + 1, len(renderings) * n_views))
+        _finite(pairs, rendering.asset.name)
+    images = {name: pairs.mean(0) for name, pairs in halves.items()}
     target = images.pop("")
     if not (target[..., 3] > COVERED).any():
         raise AssetError(
             f"{reference.asset.source or reference.asset.name}: no held-out view shows anything of it; "
             "check its scale, and that it is not fully transparent"
         )
-    rows = {name: {**_costs(candidates[name].asset), **compare(target, images[name])} for name in candidates}
+    rows = {name: {**_costs(candidates[name].asset), **compare(halves[""], halves[name])} for name in candidates}
     figures = {
         "generator": f"mi_simplify {__version__}",
         "settings": {"n_views": n_views, "resolution": views.width, **settings},
@@ -175,13 +186,12 @@ def compare_renderings(
     return Comparison(target, images, figures)
 
 
-def _finite(images: np.ndarray, name: str) -> np.ndarray:
-    """Images whose values are all finite: what is not counts as black, and that is told."""
+def _finite(images: np.ndarray, name: str) -> None:
+    """Make all values finite: what is not counts as black, and that is told."""
     broken = ~np.isfinite(images)
     if broken.any():
         log.warning("%s: %d pixel values are not finite and count as black", name, np.count_nonzero(broken))
         images[broken] = 0.0
-    return images
 
 
 def _costs(asset: Asset) -> dict:

@@ -13,7 +13,7 @@ import numpy as np
 from ..model.asset import Asset, rig_of
 from ..progress import ProgressCallback
 from .comparison import Comparison
-from .evaluate import MAX_DEPTH, SKY, Judging, PathTraced, Rendering, compare_renderings
+from .evaluate import MAX_DEPTH, SKY, Judging, PathTraced, Rendering, compare_renderings, half
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
     from ..scenes.references.reference import Reference
@@ -52,13 +52,13 @@ def compare_characters(
     rig = rig_of(reference)
     others = {}
     for name, asset in candidates.items():
-        renderer: Reference = PathTraced(asset, judging.spp)
+        renderer: Reference = PathTraced(asset, half(judging.spp))
         if asset.rig is not None:
             renderer = _Retimed(renderer, {f: asset.rig.frame_at(rig.times[int(f)]) for f in frames})
         others[name] = Rendering(asset, renderer)
     codes = [float(rig.codes[int(f)]) for f in shown]
     settings = {"spp": judging.spp, "seed": judging.seed, "max_depth": MAX_DEPTH, "sky": SKY, "frames": codes}
-    target = Rendering(reference, PathTraced(reference, judging.spp))
+    target = Rendering(reference, PathTraced(reference, half(judging.spp)))
     comparison = compare_renderings(target, others, views, settings, progress)
     rows = comparison.figures["candidates"]
     rows = {name: row | _per_frame(row["per_view"], shown, frames) for name, row in rows.items()}

@@ -27,7 +27,7 @@ from ..initial.guess import first_guess
 from ..initial.nodes import kept_nodes, require_no_nodes
 from ..initial.quadrics import quadrics_only
 from ..judging.comparison import Comparison
-from ..judging.evaluate import Judging, Rendering, compare_renderings
+from ..judging.evaluate import Judging, Rendering, compare_renderings, half
 from ..model.asset import Asset
 from ..model.frame import Frame
 from ..model.light.harmonics import constant_environment, environment_coefficients
@@ -213,7 +213,9 @@ class Subject(ABC):
         """Beside images of its own renderer, in the light that was fitted."""
         views = held_out_views(self.geometry.bounds, judging.n_views, judging.resolution, judging.seed)
         settings = {"spp": judging.spp, "seed": judging.seed}
-        return self.compared(self.renderer(judging.spp), candidates, self.lit_as_fitted(views), settings, progress)
+        return self.compared(
+            self.renderer(half(judging.spp)), candidates, self.lit_as_fitted(views), settings, progress
+        )
 
     def compared(
         self,
@@ -228,7 +230,7 @@ class Subject(ABC):
         """
         settings_used = {"light": "as fitted", "reference": self.config.reference.transport}
         others = {
-            name: Rendering(asset, fitted_light(asset, settings["spp"], self.config))
+            name: Rendering(asset, fitted_light(asset, half(settings["spp"]), self.config))
             for name, asset in candidates.items()
         }
         return compare_renderings(Rendering(self.geometry, renderer), others, views, settings_used | settings, progress)

@@ -69,3 +69,17 @@ def test_flip_is_zero_for_equal_images_and_grows(images):
 def test_images_of_different_shapes_are_refused():
     with pytest.raises(ValueError, match="one shape"):
         psnr(np.zeros((1, 2, 2, 3)), np.zeros((1, 2, 3, 3)))
+
+
+def test_noise_does_not_count_as_a_difference():
+    generator = np.random.default_rng(3)
+    plain = np.broadcast_to(np.float32([0.4, 0.5, 0.3, 1.0]), (2, 96, 128, 4))
+    other = plain + np.float32([0.02, -0.02, 0.02, 0.0])
+    noise = generator.normal(0, 0.03, (2, 2, *plain.shape)).astype(np.float32)
+    a, b = plain + noise[0], other + noise[1]
+    wanted, noisy = psnr(plain, other), psnr(a.mean(0), b.mean(0))
+    found: dict[str, Any] = compare(a, b)
+    assert (noisy < wanted - 2).all()
+    np.testing.assert_allclose(found["per_view"]["psnr"], wanted, atol=0.5)
+    assert compare(a, a)["psnr"] == 100.0
+    assert compare(a, plain[None] + noise[1])["psnr"] > psnr(a.mean(0), plain).mean() + 8
