@@ -14,6 +14,7 @@ from ..machine.frozen import frozen
 from ..machine.upload import upload
 from ..model.mesh import Mesh
 from ..model.tangents import face_tangents, split_mirrored
+from ..model.topology import CORRECTION
 
 
 @dataclass
@@ -67,8 +68,8 @@ class MeshTopology:
         The surface of welded positions, flat ``x0 y0 z0 …``, width P·3; gradients flow back to them, and to unit
         normals, one a normal group, flat as well, where they are given. Without them those of the mesh's own stay.
 
-        Where there are neither, normals are weighted by area and angle; tangents are as in MikkTSpace (paper, Sect.
-        5.1): the functions of ``topology.vertex_normals`` and ``tangents.vertex_tangents``, in Dr.Jit.
+        Where there are neither, normals are fitted to those of the faces; tangents are as in MikkTSpace (paper, Sect.
+        5.1): the functions of ``topology.fitted_normals`` and ``tangents.vertex_tangents``, in Dr.Jit.
         """
         normals = self._normals if normals is None else normals
         return Surface(dr.custom(_PacketsOp, self._stencil, positions, normals), self.faces)
@@ -159,15 +160,24 @@ class _Stencil:
 
     def _normals(self, face_p: list[mi.Point3f]) -> mi.Float:
         n = dr.cross(face_p[1] - face_p[0], face_p[2] - face_p[0])
+        area = dr.sqrt(dr.maximum(dr.squared_norm(n), 1e-24))
+        group = dr.arange(mi.UInt32, self.n_normals)
         total = dr.zeros(mi.Float, self.n_normals * 4)
         for c in range(3):
-            a = _unit(face_p[(c + 1) % 3] - face_p[c])
-            b = _unit(face_p[(c + 2) % 3] - face_p[c])
-            dr.scatter_add(total, _padded(n * _angle(a, b)), self.face_normals[c])
-        total = mi.Vector3f(dr.gather(mi.Vector4f, total, dr.arange(mi.UInt32, self.n_normals)).xyz)
-        length2 = dr.squared_norm(total)
-        total = dr.select(length2 > 1e-24, total * dr.rsqrt(dr.maximum(length2, 1e-24)), mi.Vector3f(0, 1, 0))
-        return dr.ravel(_padded(total))
+            dr.scatter_add(total, mi.Vector4f(*n, area), self.face_normals[c])
+        total = dr.gather(mi.Vector4f, total, group)
+        scale = dr.select(total.w > 1e-11, dr.rcp(dr.maximum(total.w, 1e-11)), 0)
+        mean = mi.Vector3f(total.xyz) * scale
+        flat = dr.ravel(_padded(mean))
+        corner = [mi.Vector3f(dr.gather(mi.Vector4f, flat, i).xyz) for i in self.face_normals]
+        middle = corner[0] + corner[1] + corner[2]
+        missed = dr.zeros(mi.Float, self.n_normals * 4)
+        for c in range(3):
+            dr.scatter_add(missed, _padded(n - 0.25 * area * (corner[c] + middle)), self.face_normals[c])
+        out = mean + CORRECTION * scale * mi.Vector3f(dr.gather(mi.Vector4f, missed, group).xyz)
+        length2 = dr.squared_norm(out)
+        out = dr.select(length2 > 1e-12, out * dr.rsqrt(dr.maximum(length2, 1e-12)), mi.Vector3f(0, 1, 0))
+        return dr.ravel(_padded(out))
 
     def _tangents(self, face_p: list[mi.Point3f], corner_n: list[mi.Vector3f]) -> mi.Float:
         flat = self.tangent_a * (face_p[1] - face_p[0]) + self.tangent_b * (face_p[2] - face_p[0])

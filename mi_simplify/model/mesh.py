@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .topology import vertex_normals
+from .topology import fitted_normals
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,12 @@ class Mesh:
 
     def normals(self) -> np.ndarray:
         """
-        Its own normals, or those of the faces weighted by area and angle: one a normal group, shape (G, 3), float64.
+        Its own normals, or those fitted to the faces, see :func:`.topology.fitted_normals`: one a normal group, shape
+        (G, 3), float64.
         """
         if self.own_normals is not None:
             return self.own_normals
-        groups = None if self.normal_index is None else self.normal_index[self.faces]
-        return vertex_normals(self.positions, self.position_faces, groups, by_area=True)
+        return fitted_normals(self.positions, self.position_faces, self.normal_groups[self.faces])
 
     @property
     def vertices(self) -> np.ndarray:

@@ -54,44 +54,78 @@ def corner_angles(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.arctan2(cross, np.einsum("fci,fci->fc", a, b))
 
 
-def vertex_normals(
-    positions: np.ndarray, faces: np.ndarray, groups: np.ndarray | None = None, *, by_area: bool = False
-) -> np.ndarray:
+def vertex_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """
-    Angle-weighted unit normals (Thürmer and Wüthrich 1998), or weighted by angle and area.
-
-    With areas a large flat face stays flat beside a narrow bevel; on a coarse mesh, where the two share a vertex, it
-    would else be shaded as if it were bent.
+    Angle-weighted unit normals (Thürmer and Wüthrich 1998).
 
     Parameters
     ----------
     positions : ndarray, shape (P, 3)
     faces : ndarray, shape (F, 3)
         Indices into ``positions``.
-    groups : ndarray, shape (F, 3), optional
-        Which corners share a normal; those of one position if not given.
-    by_area : bool
-        Weigh the faces by their areas, too.
 
     Returns
     -------
-    ndarray, shape (P, 3) or (number of groups, 3), float64
+    ndarray, shape (P, 3), float64
         +Y where no face has area.
     """
-    groups = faces if groups is None else groups
-    n_groups = len(positions) if groups is faces else int(groups.max(initial=-1)) + 1
-    p = np.asarray(positions, np.float64)[faces]
-    n = area_vectors(p)
+    positions = np.asarray(positions, np.float64)
+    n = area_vectors(positions[faces])
     length = np.linalg.norm(n, axis=1, keepdims=True)
     n = np.divide(n, length, out=np.zeros_like(n), where=length > 0)
-    weights = corner_angles(np.asarray(positions, np.float64), faces) * (length if by_area else 1.0)
-    weighted = n[:, None, :] * weights[..., None]
-    out = np.zeros((n_groups, 3))
-    for axis in range(3):
-        out[:, axis] = np.bincount(groups.ravel(), weighted[..., axis].ravel(), n_groups)
-    length = np.linalg.norm(out, axis=1, keepdims=True)
-    least = 1e-12 * (np.max(weights, initial=0.0) if by_area else 1.0)
-    return np.where(length > least, out / np.maximum(length, 1e-300), [0.0, 1.0, 0.0])
+    weighted = n[:, None, :] * corner_angles(positions, faces)[..., None]
+    return _unit_or_up(_corner_sums(weighted, faces, len(positions)), 1e-12)
+
+
+CORRECTION = 1.6
+"""
+Factor of the one step of :func:`fitted_normals`: best for the eigenvalues of a mass matrix over its row sums, which lie
+between 1/4 and 1.
+"""
+
+
+def fitted_normals(positions: np.ndarray, faces: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """
+    Unit normals whose linear interpolation is close to the normals of the faces, in the mean square over the surface.
+
+    The means by area, corrected once by what their interpolation misses: a Richardson step on the mass matrix of
+    linear elements. Further ones change the square by less than 1 %. A large flat face stays flat beside a narrow
+    bevel, and path tracers, which cut light and view at the horizon of the interpolated normal, lose less of both.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (P, 3)
+    faces : ndarray, shape (F, 3)
+        Indices into ``positions``.
+    groups : ndarray, shape (F, 3)
+        Which corners share a normal.
+
+    Returns
+    -------
+    ndarray, shape (number of groups, 3), float64
+        +Y where no face has area.
+    """
+    n_groups = int(groups.max(initial=-1)) + 1
+    n = area_vectors(np.asarray(positions, np.float64)[faces])[:, None, :]  # (F, 1, 3)
+    area = np.linalg.norm(n, axis=2, keepdims=True)
+    total = _corner_sums(np.broadcast_to(area, (*faces.shape, 1)), groups, n_groups)
+    scale = np.divide(1, total, out=np.zeros_like(total), where=total > 1e-12 * area.max(initial=0))
+    mean = _corner_sums(np.broadcast_to(n, (*faces.shape, 3)), groups, n_groups) * scale
+    corner = mean[groups]
+    missed = n - area / 4 * (corner + corner.sum(1, keepdims=True))
+    return _unit_or_up(mean + CORRECTION * scale * _corner_sums(missed, groups, n_groups), 1e-6)
+
+
+def _corner_sums(values: np.ndarray, groups: np.ndarray, n: int) -> np.ndarray:
+    """Sums of (F, 3, K) over the corners of a group, shape (n, K)."""
+    flat = values.reshape(-1, values.shape[2])
+    return np.stack([np.bincount(groups.ravel(), column, n) for column in flat.T], 1)
+
+
+def _unit_or_up(x: np.ndarray, least: float) -> np.ndarray:
+    """Unit vectors; +Y where a length is not above ``least``."""
+    length = np.linalg.norm(x, axis=1, keepdims=True)
+    return np.where(length > least, x / np.maximum(length, 1e-300), [0.0, 1.0, 0.0])
 
 
 def normal_groups(

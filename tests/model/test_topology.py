@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.tiny_meshes import charted_sphere
 
-from mi_simplify.model.topology import corner_angles, normal_groups, vertex_normals, weld
+from mi_simplify.model.topology import corner_angles, fitted_normals, normal_groups, vertex_normals, weld
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -43,14 +43,39 @@ def test_normals_weigh_by_angle_not_by_area_or_number_of_triangles():
     assert np.allclose(vertex_normals(CUBE, CUBE_FACES), CUBE / 3**0.5)
 
 
-def test_normals_by_area_keep_large_faces_flat_beside_narrow_ones():
-    """The same two quads: the longer, 9 times as large, has 9 times the say."""
+def test_fitted_normals_keep_large_faces_flat_beside_narrow_ones():
+    """The same two quads: the edge points along the longer one's normal, as that is 9 times as large."""
     positions = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 0], [0, 9, 1], [0, 9, 0]], float)
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 5, 1], [1, 5, 4]])
-    n = vertex_normals(positions, faces, by_area=True)
-    assert n[0] @ [9, 1, 0] / 82**0.5 > 0.999
-    assert np.allclose(vertex_normals(CUBE, CUBE_FACES, by_area=True), CUBE / 3**0.5)
-    assert np.allclose(vertex_normals(1e-6 * positions, faces, by_area=True), n)
+    n = fitted_normals(positions, faces, faces)
+    assert n[:2, 0].min() > 0.95 and n[1, 0] > 0.99 and np.allclose(n[2:4, 1], 1, atol=0.1)
+    assert (np.sum(fitted_normals(CUBE, CUBE_FACES, CUBE_FACES) * CUBE, axis=1) / 3**0.5).min() > 0.94
+    assert np.allclose(fitted_normals(1e-6 * positions, faces, faces), n)
+
+
+def test_fitted_normals_are_close_to_the_least_squares_of_those_of_the_faces():
+    """Beside the exact solution with the mass matrix of linear elements, before both are made unit vectors."""
+    mesh = charted_sphere(6, noise=0.1)
+    faces = mesh.position_faces
+    cross = np.cross(*(mesh.positions[faces[:, k]] - mesh.positions[faces[:, 0]] for k in (1, 2)))
+    area = np.linalg.norm(cross, axis=1)
+    mass, right = np.zeros((len(mesh.positions),) * 2), np.zeros((len(mesh.positions), 3))
+    for i in range(3):
+        np.add.at(right, faces[:, i], cross / 3)
+        for j in range(3):
+            np.add.at(mass, (faces[:, i], faces[:, j]), area * (1 + (i == j)) / 12)
+    best = np.linalg.solve(mass, right)
+    best /= np.linalg.norm(best, axis=1, keepdims=True)
+    mean = right / np.linalg.norm(right, axis=1, keepdims=True)
+    weights = np.random.default_rng(0).dirichlet(np.ones(3), 64)
+
+    def missed(normals):
+        n = np.einsum("sk,fki->sfi", weights, normals[faces])
+        n /= np.linalg.norm(n, axis=2, keepdims=True)
+        return (area * (1 - np.einsum("sfi,fi->sf", n, cross / area[:, None]))).mean()
+
+    own = fitted_normals(mesh.positions, faces, faces)
+    assert missed(own) < 1.01 * missed(best) and missed(best) < 0.98 * missed(mean)
 
 
 def test_normals_of_a_sphere_point_outwards_and_degenerate_ones_up():
@@ -64,12 +89,13 @@ def test_normals_of_a_sphere_point_outwards_and_degenerate_ones_up():
 def test_creases_cut_a_cube_into_its_sides():
     groups = normal_groups(CUBE, CUBE_FACES, 60)
     assert groups.max() + 1 == 24
-    n = vertex_normals(CUBE, CUBE_FACES, groups)[groups]
+    n = fitted_normals(CUBE, CUBE_FACES, groups)[groups]
     flat = np.cross(CUBE[CUBE_FACES[:, 1]] - CUBE[CUBE_FACES[:, 0]], CUBE[CUBE_FACES[:, 2]] - CUBE[CUBE_FACES[:, 0]])
     assert np.allclose(n, (flat / np.linalg.norm(flat, axis=1, keepdims=True))[:, None])
     smooth = normal_groups(CUBE, CUBE_FACES, 100)
     assert smooth.max() + 1 == 8
-    assert np.allclose(vertex_normals(CUBE, CUBE_FACES, smooth)[smooth], CUBE[CUBE_FACES] / 3**0.5)
+    outwards = fitted_normals(CUBE, CUBE_FACES, smooth)[smooth] * CUBE[CUBE_FACES] / 3**0.5
+    assert outwards.sum(2).min() > 0.94 and smooth.shape == CUBE_FACES.shape
 
 
 def test_a_group_lies_at_one_position_and_no_crease_leaves_one_a_position():
