@@ -36,12 +36,12 @@ from mi_simplify.jobs.batch.entries import Entry, read_entries
 from mi_simplify.jobs.batch.needs import expected_memory
 from mi_simplify.machine.memory import shown_size
 
-N_BROKEN, SAMPLES = 3, ("sample:relic", "sample:walker")
+N_BROKEN, SAMPLES = 3, ("sample:relic:20k", "sample:fish")
 
 #: Small enough that sixty of them take minutes.
 TINY = [
-    "preset=fast", "initial.atlas_size=128", "optimizer.steps=16", "optimizer.resolution=64", "optimizer.batch=2",
-    "evaluation.views=2", "evaluation.resolution=64", "export.formats=glb",
+    "preset=fast", "initial.atlas_size=64", "optimizer.steps=8", "optimizer.resolution=32", "optimizer.batch=1",
+    "reference.pool=4", "evaluation.views=1", "evaluation.resolution=32", "evaluation.spp=4", "export.formats=glb",
 ]  # fmt: skip
 
 
@@ -126,18 +126,19 @@ def of_assets(args: argparse.Namespace) -> str:
             list(pool.map(lambda e: single(e, args.out / f"beside-{e.name}"), pair))
         beside.append((sum(alone[len(alone) - len(some) + some.index(e)] for e in pair), time.perf_counter() - begin))
 
-    singles(entries[::2])
+    singles(entries[:: 2 * args.every])
     code, seconds, _ = batched(sources, args.out / "together", args.set)
-    singles(entries[1::2])
+    singles(entries[args.every :: 2 * args.every])
     speed_up = sum(x for x, _ in beside) / sum(y for _, y in beside)
-    lines, best = ended(args.out / "together"), sum(alone) / speed_up
+    total = sum(alone) / len(alone) * len(entries)
+    lines, best = ended(args.out / "together"), total / speed_up
     failed = [name for name, line in lines.items() if line["code"]]
     shares = {e.name: lines[e.name]["peak"] / expected_memory(e) for e in entries}
     most = max(shares, key=lambda name: shares[name])
     return (
         f"{len(entries)} assets: exit code {code}, {len(lines) - len(failed)} done, failed: {', '.join(failed)};"
-        f" {seconds:.0f} s, alone {sum(alone):.0f} s, two beside each other {speed_up:.2f} times as fast:"
-        f" {seconds / best:.2f} times the best; memory at most {shares[most]:.0%} of the forecast ({most}),"
+        f" {seconds:.0f} s, alone {total:.0f} s (by {len(alone)} of them), two beside each other {speed_up:.2f} times"
+        f" as fast: {seconds / best:.2f} times the best; memory at most {shares[most]:.0%} of the forecast ({most}),"
         f" {shown_size(max(line['peak'] for line in lines.values()))}"
     )
 
@@ -244,6 +245,7 @@ def main() -> None:
     }  # fmt: skip
     parser.add_argument("case", choices=cases)
     parser.add_argument("--n", type=int, default=6, help="assets")
+    parser.add_argument("--every", type=int, default=1, help="of the assets are run alone, for the time of all")
     parser.add_argument("--times", type=int, default=10, help="kills of the driver")
     parser.add_argument("--models", type=Path, nargs="*", default=[], help="files and folders, for the first ones")
     parser.add_argument("--out", type=Path, default=Path("out/batch"))
