@@ -93,6 +93,7 @@ def results(out: Path) -> dict[str, tuple[str, str]]:
     for name, line in ended(out).items():
         if line["code"] == 0:
             figures = json.loads((out / name / "metrics.json").read_text())["candidates"]
+            figures = {key: row | {"file": ""} for key, row in figures.items()}  # which has the folder in its path
             model = hashlib.sha256((out / name / "model.glb").read_bytes()).hexdigest()
             found[name] = (model, json.dumps(figures, sort_keys=True))
     return found

@@ -135,9 +135,10 @@ class Cluster:
         try:
             return self._ray.get(reference)
         except exceptions.RayTaskError as error:
-            cause = error.as_instanceof_cause()
-            if isinstance(cause, OutputError):
-                raise cause from None
+            if isinstance(
+                error.cause, OutputError
+            ):  # as_instanceof_cause() would have the remote traceback as its text
+                raise error.cause from None
             raise
         except exceptions.RayError as error:
             line = f"{type(error).__name__}: the worker or its node died {_SYSTEM_RETRIES + 1} times"

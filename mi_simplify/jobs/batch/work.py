@@ -112,8 +112,9 @@ def _ran(entry: Entry, fingerprint: str, out: Path, flag: str, limits: Limits) -
         code, line = OVER_LIMIT, over
     elif code < 0:
         line = f"killed by {signal.Signals(-code).name}" + (f" after: {line}" if line else "")
-    if code and any(os.strerror(number) in line for number in (errno.ENOSPC, errno.EDQUOT)):
-        raise OutputError(f"{line.partition('; ')[0]}; make room, and the same command goes on")
+    full = [text for text in said.splitlines() if any(os.strerror(n) in text for n in (errno.ENOSPC, errno.EDQUOT))]
+    if code and full:
+        raise OutputError(f"{_last_line(full[-1]).partition('; ')[0]}; make room, and the same command goes on")
     return Outcome(entry.name, fingerprint, code, line if code else "", time.monotonic() - begin, peak)
 
 

@@ -10,6 +10,7 @@ from support.toy import bumpy_sphere
 from mi_simplify import cli
 from mi_simplify.jobs.batch.batch import batch_job
 from mi_simplify.jobs.batch.entries import Entry
+from mi_simplify.machine.files import output_error
 
 ray = pytest.importorskip("ray", reason="the extra [batch]")
 
@@ -75,6 +76,17 @@ def test_shards_share_a_folder(tmp_path):
         made = batch_job(entries, tmp_path, shard=(i, 2), jobs=1)
         assert [e.name for e in made.entries] == [e.name for e in entries[i - 1 :: 2]] and made.exit_code == 0
     assert sorted(row["name"] for row in lines(tmp_path)) == [e.name for e in entries]
+
+
+def test_what_cannot_be_written_ends_the_batch_with_one_line(tmp_path, capsys):
+    (tmp_path / "a.ply").write_text("")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "a").write_text("somebody's")
+    assert cli.main(["batch", str(tmp_path / "a.ply"), "--command", "none", "-o", str(tmp_path / "out")]) == 2
+    assert (
+        capsys.readouterr().err
+        == f"error: {output_error(tmp_path / 'out' / 'a', FileExistsError(17, 'File exists'))}\n"
+    )
 
 
 def test_without_a_cluster_there_is_one_line(tmp_path, capsys):
