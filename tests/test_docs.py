@@ -9,6 +9,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,11 @@ def documented(start: str, **words: object) -> list[str]:
     return shlex.split(line, comments=True)
 
 
+def _answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of Ray
 def test_the_documented_cluster_makes_the_library(workplace, monkeypatch):
@@ -133,8 +139,9 @@ def test_the_documented_cluster_makes_the_library(workplace, monkeypatch):
         for line in (head, other):
             options = ["--num-cpus=1", "--include-dashboard=false"] if line is head else ["--num-cpus=1"]
             nodes.append(subprocess.Popen([*ray, *line, *options, "--block"], stdout=subprocess.DEVNULL))
-            while socket.socket().connect_ex(("127.0.0.1", port)):
+            while not _answers(port):
                 assert nodes[0].poll() is None
+                time.sleep(0.1)
         line = documented("mi-simplify batch", **{"/shared": workplace / "shared"})
         assert run(shlex.join(line)) == 0
     finally:
