@@ -11,17 +11,20 @@ import mitsuba as mi
 
 from .errors import RuntimeUnavailable
 
-#: Modules that define a plugin class and register it on their last line.
-MODULES = (
-    "mi_simplify.bsdfs.mapped_texture",
-    "mi_simplify.bsdfs.ggx_gamma",
-    "mi_simplify.integrators.direct_edge",
-    "mi_simplify.integrators.lights.own_light",
-    "mi_simplify.integrators.lights.direct_views",
-)
+#: Variants that all of them work in, the fit's: gradients and RGB.
+RGB_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
-#: Variants in which they work: gradients and RGB.
-VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
+#: Variants that those of any scene work in: gradients, and colours of one number, three, or at drawn wavelengths.
+VARIANTS = (*RGB_VARIANTS, "llvm_ad_mono", "cuda_ad_mono", "llvm_ad_spectral", "cuda_ad_spectral")
+
+#: Modules that define a plugin class and register it on their last line: the kind of plugin, its name, its variants.
+MODULES = {
+    "mi_simplify.bsdfs.mapped_texture": ("texture", "mapped_texture", VARIANTS),
+    "mi_simplify.bsdfs.ggx_gamma": ("bsdf", "ggx_gamma", VARIANTS),
+    "mi_simplify.integrators.direct_edge": ("integrator", "direct_edge", VARIANTS),
+    "mi_simplify.integrators.lights.own_light": ("integrator", "own_light", RGB_VARIANTS),
+    "mi_simplify.integrators.lights.direct_views": ("integrator", "direct_views", RGB_VARIANTS),
+}
 
 
 def _register(_old: str | None, new: str | None) -> None:
@@ -32,30 +35,21 @@ def _register(_old: str | None, new: str | None) -> None:
     """
     if new is None:
         return
-    if new not in VARIANTS:
-        mi.register_bsdf("ggx_gamma", _refuse)
-        mi.register_texture("mapped_texture", _refuse)
-        mi.register_integrator("direct_edge", _refuse)
-        mi.register_integrator("own_light", _refuse)
-        mi.register_integrator("direct_views", _refuse)
-        return
-    for name in MODULES:
-        if name in sys.modules:
-            importlib.reload(sys.modules[name])
+    for module, (kind, name, variants) in MODULES.items():
+        if new not in variants:
+            getattr(mi, f"register_{kind}")(name, lambda _, allowed=variants: require_variant(allowed))
+        elif module in sys.modules:
+            importlib.reload(sys.modules[module])
         else:
-            importlib.import_module(name)
+            importlib.import_module(module)
 
 
-def _refuse(_props: mi.Properties) -> None:
-    require_ad_variant()
-
-
-def require_ad_variant() -> None:
+def require_variant(allowed: tuple[str, ...]) -> None:
     """
-    Raise where the active variant has no gradients or is not RGB.
+    Raise where the active variant is none of those allowed.
     """
-    if mi.variant() not in VARIANTS:
-        raise RuntimeUnavailable(f"variant '{mi.variant()}' cannot be used: choose one of {', '.join(VARIANTS)}")
+    if mi.variant() not in allowed:
+        raise RuntimeUnavailable(f"variant '{mi.variant()}' cannot be used: choose one of {', '.join(allowed)}")
 
 
 mi.detail.add_variant_callback(_register)

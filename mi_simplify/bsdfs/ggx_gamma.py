@@ -7,6 +7,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from ..errors import UserError
 from . import microfacet
 
 
@@ -52,6 +53,7 @@ class GgxGamma(mi.BSDF):
 
     Two-sided by the *geometric* normal. A shading normal that faces away from the viewer is
     turned continuously towards it (`microfacet.face_viewer`), so that the value has no jump inside a face.
+    In mono and spectral variants the base colour may be any spectrum; vertex colours and emission need RGB.
     Queries of single lobes (`BSDFContext`): component 0 is the diffuse lobe, 1 the glossy one, 2 the null lobe.
     All parameters are differentiable; the derivative of the opacity is that of the null lobe's weight.
 
@@ -73,6 +75,11 @@ class GgxGamma(mi.BSDF):
         self.mesh_tangents = props.get("mesh_tangents", False)
         self.vertex_colors = props.get("vertex_colors", False)
         self.form = microfacet.check_form(props.get("form", "gltf"))
+        if not mi.is_rgb and (self.vertex_colors or self.emission is not None):
+            what = "vertex_colors" if self.vertex_colors else "emission"
+            raise UserError(
+                f"ggx_gamma: '{what}' is RGB, which {mi.variant()} is not; leave it out or choose llvm_ad_rgb"
+            )
         sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide | mi.BSDFFlags.SpatiallyVarying
         lobes = [mi.BSDFFlags.DiffuseReflection | sides, mi.BSDFFlags.GlossyReflection | sides]
         if self.opacity is not None:
@@ -129,9 +136,9 @@ class GgxGamma(mi.BSDF):
         return tangent, dr.select(mirrored, mi.Float(-1), mi.Float(1))
 
     def _inputs(self, si, active):
-        base_color = mi.Color3f(self.base_color.eval(si, active))
+        base_color = mi.Spectrum(self.base_color.eval(si, active))
         if self.vertex_colors:
-            base_color *= mi.Color3f(si.shape.eval_attribute_3("vertex_color", si, active))
+            base_color *= mi.Spectrum(si.shape.eval_attribute_3("vertex_color", si, active))
         roughness = dr.maximum(self.roughness.eval_1(si, active), microfacet.MIN_ROUGHNESS)
         return (
             base_color,

@@ -103,7 +103,7 @@ def evaluate(
 
     Parameters
     ----------
-    base_color : mi.Color3f
+    base_color : mi.Color3f or mi.Spectrum
         Linear reflectance kd.
     gamma, roughness, metallic : mi.Float
         In [0, 1]; γ scales the specular reflectance away, roughness is kept above
@@ -121,9 +121,9 @@ def evaluate(
     alpha2 = dr.square(dr.square(dr.maximum(roughness, MIN_ROUGHNESS)))
     lit = cos_o > 0
     lobe = ggx_d(alpha2, n, h) * smith_v(alpha2, dr.maximum(cos_i, 1e-4), dr.maximum(cos_o, 1e-4)) if glossy else 0.0
-    albedo = base_color if diffuse else mi.Color3f(0)
+    albedo = base_color if diffuse else type(base_color)(0)
     if form == "paper":
-        ks = (1 - gamma) * dr.lerp(mi.Color3f(DIELECTRIC_F0), base_color, metallic)
+        ks = (1 - gamma) * dr.lerp(type(base_color)(DIELECTRIC_F0), base_color, metallic)
         value = albedo * (1 - metallic) * dr.inv_pi + schlick(ks, cos_d) * lobe
     else:
         f_dielectric = schlick(DIELECTRIC_F0 * (1 - gamma), cos_d)
@@ -137,7 +137,7 @@ def specular_share(base_color, gamma, metallic, cos_i):
     """
     Probability of sampling the specular lobe: its share of the reflectance at ``cos_i``, in [.1, 1].
     """
-    luminance = mi.luminance(base_color)
+    luminance = mi.luminance(base_color) if mi.is_rgb else dr.mean(base_color, axis=0)
     f0 = (1 - gamma) * dr.lerp(mi.Float(DIELECTRIC_F0), luminance, metallic)
     specular = schlick(f0, dr.maximum(cos_i, 0))
     diffuse = luminance * (1 - metallic)

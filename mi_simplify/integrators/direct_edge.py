@@ -63,6 +63,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
 
     Sensors: `perspective` with any principal point, `thinlens`, `orthographic`, `batch` of them; crop windows,
     `sample_border`, any reconstruction filter, any number of layers. Shapes that are no triangle meshes stand still.
+    Variants: RGB, mono and spectral ones with derivatives, not polarised ones.
 
     Raises, when a derivative is asked for, where it would be wrong: moving shapes that are no triangle meshes
     (instances too), a moving camera before them, other sensors. Not seen: jumps where a *normal or bump map* over
@@ -84,6 +85,10 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         self.hide_emitters = props.get("hide_emitters", True)
         if self.layers < 1:
             raise UserError(f"direct_edge: layers is {self.layers}, expected at least 1")
+        if not mi.is_rgb and any(self.ambient):
+            raise UserError(
+                f"direct_edge: 'ambient' is RGB, which {mi.variant()} is not; add a `constant` emitter instead"
+            )
         self._edges: SceneEdges | None = None
         self._warned = False
 

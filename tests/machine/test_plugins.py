@@ -47,7 +47,7 @@ def test_plugins_survive_changes_of_the_variant():
         "import mi_simplify\nimport mitsuba as mi\n"
         + RENDER
         + """
-for variant in ('llvm_ad_rgb', 'scalar_rgb', 'llvm_ad_rgb', 'llvm_ad_mono', 'scalar_rgb', 'llvm_ad_rgb'):
+for variant in ('llvm_ad_rgb', 'scalar_rgb', 'llvm_ad_rgb', 'llvm_ad_mono_polarized', 'scalar_rgb', 'llvm_ad_rgb'):
     mi.set_variant(variant)
     if variant == 'llvm_ad_rgb':
         render()
@@ -67,17 +67,20 @@ for variant in ('llvm_ad_rgb', 'scalar_rgb', 'llvm_ad_rgb', 'llvm_ad_mono', 'sca
 
 
 def test_classes_belong_to_the_variant_that_is_active():
-    """As between LLVM and CUDA, here with a variant that needs no GPU put on the list."""
     python(
         """
 import mi_simplify
-from mi_simplify import plugins
 import mitsuba as mi
-plugins.VARIANTS += ('llvm_ad_mono',)
-for variant in ('llvm_ad_rgb', 'llvm_ad_mono', 'llvm_ad_rgb'):
+for variant in ('llvm_ad_rgb', 'llvm_ad_mono', 'llvm_ad_spectral', 'llvm_ad_rgb'):
     mi.set_variant(variant)
     assert isinstance(mi.load_dict({'type': 'ggx_gamma'}), mi.BSDF), variant
     assert isinstance(mi.load_dict({'type': 'direct_edge'}), mi.Integrator), variant
+    try:
+        mi.load_dict({'type': 'own_light'})
+    except RuntimeError as error:
+        assert 'choose one of llvm_ad_rgb, cuda_ad_rgb' in str(error) and variant != 'llvm_ad_rgb', error
+    else:
+        assert variant == 'llvm_ad_rgb'
 """
     )
 
@@ -110,10 +113,49 @@ print(mi.variant())
 
 
 def test_variants_without_derivatives_are_refused_with_the_list(monkeypatch):
-    plugins.require_ad_variant()
+    plugins.require_variant(plugins.VARIANTS)
     monkeypatch.setattr(mi, "variant", lambda: "scalar_rgb")
     with pytest.raises(RuntimeUnavailable, match="variant 'scalar_rgb' cannot be used: choose one of llvm_ad_rgb, cu"):
-        plugins.require_ad_variant()
+        plugins.require_variant(plugins.VARIANTS)
     with pytest.raises(RuntimeUnavailable, match="'llvm_ad_spectral' is not supported; use one of llvm_ad_rgb, cuda"):
         runtime.ensure_variant("llvm_ad_spectral")
-    assert plugins.VARIANTS == runtime.VARIANTS
+    assert plugins.RGB_VARIANTS == runtime.VARIANTS
+
+
+@pytest.mark.parametrize(
+    "variant, tolerance", [("llvm_ad_mono", 1e-4), pytest.param("llvm_ad_spectral", 0.01, marks=pytest.mark.slow)]
+)
+def test_grey_gradients_are_those_of_rgb(variant, tolerance):
+    """How much a grey cube gains by growing, relative to its light: the same whatever colours are made of."""
+    out = python(
+        f"""
+import mi_simplify
+import drjit as dr
+import mitsuba as mi
+
+for variant in ('llvm_ad_rgb', '{variant}'):
+    mi.set_variant(variant)
+    film = {{'type': 'hdrfilm', 'width': 32, 'height': 24, 'pixel_format': 'luminance'}}
+    place = mi.ScalarTransform4f().look_at([.4, .6, -3], [0, 0, 0], [0, 1, 0])
+    scene = mi.load_dict({{
+        'type': 'scene',
+        'integrator': {{'type': 'direct_edge'}},
+        'cube': {{
+            'type': 'cube', 'to_world': mi.ScalarTransform4f().scale(.5),
+            'bsdf': {{'type': 'ggx_gamma', 'base_color': .5}},
+        }},
+        'light': {{'type': 'point', 'position': [1.5, 2, -2.5], 'intensity': {{'type': 'uniform', 'value': 9.}}}},
+        'sensor': {{'type': 'perspective', 'fov': 40, 'to_world': place, 'film': film}},
+    }}, optimize=False)
+    params = mi.traverse(scene)
+    size = mi.Float(1)
+    dr.enable_grad(size)
+    params['cube.vertex_positions'] = size * dr.detach(params['cube.vertex_positions'])
+    params.update()
+    total = dr.sum(mi.render(scene, params, spp=64), axis=None)
+    dr.backward(total)
+    print(dr.grad(size)[0] / total.item())
+"""
+    )
+    rgb, other = map(float, out.split())
+    assert rgb > 0.1 and other == pytest.approx(rgb, rel=tolerance)
