@@ -128,8 +128,8 @@ def pack_textures(model: Model, settings: GlbSettings = GlbSettings()) -> Packed
     Encode the textures of a model.
 
     What is the same in all texels becomes a factor of the material: a colour, roughness, metalness, opacity; a normal
-    map without relief is left out. Where one of roughness and metalness is the same everywhere, the image of the other
-    is grey, which is smaller in every format. Smaller sizes are mip levels as of :func:`..model.mips.filtered_levels`,
+    map without relief is left out. Where one of roughness and metalness is 0 everywhere, the image of the other is grey,
+    which is smaller in every format. Smaller sizes are mip levels as of :func:`..model.mips.filtered_levels`,
     or the model's own.
 
     Raises
@@ -166,6 +166,8 @@ def _constants(textures: Textures) -> tuple[dict[str, Channels], PackedTextures]
     )
     facts = {"roughness": _same(textures.orm[..., 1]), "metallic": _same(textures.orm[..., 2])}
     same = {name: float(x[0]) / 255 for name, x in facts.items() if x is not None and not out.has_occlusion}
+    if len(same) < 2:  # of a grey image the other's texels are multiplied by the factor, which only 0 survives
+        same = {name: value for name, value in same.items() if value == 0}
     if len(same) < 2:
         varying["orm"] = slice(3) if not same else 1 if "metallic" in same else 2
     if (textures.normal != FLAT).any():

@@ -234,6 +234,16 @@ def test_what_is_the_same_everywhere_is_a_factor(model, tmp_path):
     np.testing.assert_allclose(found.material.specular[..., 1:], rough.specular[..., 1:], atol=0.003)
 
 
+@pytest.mark.parametrize("roughness, metallic", [(0.4, None), (None, 1.0), (None, 0.6), (None, 0.0)])
+def test_one_of_roughness_and_metalness_may_be_the_same_everywhere(model, tmp_path, roughness, metallic):
+    specular = model.specular.copy()
+    for channel, value in ((1, roughness), (2, metallic)):
+        if value is not None:
+            specular[..., channel] = value
+    read = load_asset(write_glb(replace(model, specular=specular), tmp_path / "model.glb")).parts[0].material
+    np.testing.assert_allclose(read.specular[..., 1:], specular[..., 1:], atol=0.6 / 255)
+
+
 def test_images_have_sizes_of_their_own(model):
     packed = pack_textures(textured(model), GlbSettings(color_size=32, normal_size=16, orm_size=128))
     assert {name: image.size[0] for name, image in packed.images.items()} == {
