@@ -13,6 +13,7 @@ import click
 
 from .console import display, prepare
 from .options import (
+    BAKE_OCCLUSION,
     DRY_RUN,
     FRAMES,
     GOALS,
@@ -49,6 +50,7 @@ from .options import (
     help="What the result is made of: one surface, textured cards for foliage, or what suits the asset.",
 )
 @KEEP_UV
+@BAKE_OCCLUSION
 @click.option("--keep-hidden", is_flag=True, help="Keep parts that cannot be seen from outside.")
 @click.option("--keep-nodes", is_flag=True, help="Keep all nodes of a glTF file, not only the animated ones.")
 @click.option("--keep", "kept", metavar="NAME", multiple=True, help="Keep the nodes of this name; repeatable.")
@@ -65,8 +67,8 @@ from .options import (
 @DRY_RUN
 @QUIET
 def simplify(
-    asset, triangles, vertices, psnr, flip, screen_size, init, mode, keep_uv, keep_hidden, keep_nodes, kept,
-    drop_extras, frames, bind_pose_only, out, config, settings, **options,
+    asset, triangles, vertices, psnr, flip, screen_size, init, mode, keep_uv, bake_occlusion, keep_hidden,
+    keep_nodes, kept, drop_extras, frames, bind_pose_only, out, config, settings, **options,
 ) -> None:  # fmt: skip
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
@@ -78,6 +80,8 @@ def simplify(
         initial |= {"kind": "sphere", "mesh": None} if init == "sphere" else {"kind": "mesh", "mesh": init}
     if keep_uv:
         initial["keep_uv"] = True
+    if bake_occlusion:
+        initial["bake_occlusion"] = True
     if keep_hidden:
         initial["keep_hidden"] = True
     if keep_nodes:
@@ -213,10 +217,11 @@ def _run(
 @KEEP_UV
 @OUT
 @click.option("--atlas-size", type=click.IntRange(16, 8192), help="Texture side; initial.atlas_size if not given.")
+@BAKE_OCCLUSION
 @VARIANT
 @OVERWRITE
 @QUIET
-def bake(reference, lowpoly, keep_uv, out, atlas_size, variant, overwrite, quiet) -> None:
+def bake(reference, lowpoly, keep_uv, out, atlas_size, bake_occlusion, variant, overwrite, quiet) -> None:
     """
     Bake the look of REFERENCE into textures for LOWPOLY, a mesh of yours in the same place.
     """
@@ -226,7 +231,7 @@ def bake(reference, lowpoly, keep_uv, out, atlas_size, variant, overwrite, quiet
     with display(quiet) as progress:
         files = bake_job(
             reference, lowpoly, out or default_folder(lowpoly), progress,
-            keep_uv=keep_uv, atlas_size=atlas_size, variant=variant, overwrite=overwrite,
+            keep_uv=keep_uv, atlas_size=atlas_size, bake_occlusion=bake_occlusion, variant=variant, overwrite=overwrite,
         )  # fmt: skip
     if not quiet:
         print("\n".join(str(path) for path in files.values()))

@@ -107,6 +107,9 @@ PACKING = combined(
     click.option("--no-tangents", is_flag=True, help="Leave tangents out of the GLB file: 16 bytes a vertex."),
 )
 KEEP_UV = click.option("--keep-uv", is_flag=True, help="Refuse a mesh whose texture coordinates cannot be kept.")
+BAKE_OCCLUSION = click.option(
+    "--bake-occlusion", is_flag=True, help="Cast rays on the asset for its occlusion, which a small mesh has less of."
+)
 OUT = click.option("--out", "-o", metavar="FOLDER", help="Where the results go; by default out/NAME.")
 FRAMES = click.option(
     "--frames", metavar="FIRST:LAST[:STEP]", help="Part of a character's clip, in the frame numbers of its file."

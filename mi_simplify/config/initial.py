@@ -91,6 +91,12 @@ class InitialSettings(Section):
     textures: Literal["bake", "constant", "random"] = Field(
         "bake", description="Sample them from the asset, fill them with its mean, or with noise."
     )
+    bake_occlusion: bool = Field(
+        False,
+        description="Cast rays on the asset for how much of the light from everywhere arrives at each place of it, and "
+        "store that as occlusion texture, which viewers apply to such light; the fit leaves it alone. Where the asset "
+        "has one of its own, the darker of both counts.",
+    )
     vertex_sets: int = Field(
         1,
         ge=1,
@@ -147,6 +153,8 @@ class InitialSettings(Section):
                 raise ValueError(
                     "`keep_nodes` and `keep` go with `kind: decimate`, without `source`, `subdivisions`, `vertex_sets`"
                 )
+        if self.bake_occlusion and (self.kind == "cards" or self.textures != "bake"):
+            raise ValueError("`bake_occlusion` goes with `textures: bake`, and not with `kind: cards`")
         if self.keep_uv and self.mesh is None:
             raise ValueError("`keep_uv` is about the texture coordinates of `mesh: FILE`, which is not set")
         return self

@@ -128,9 +128,9 @@ def pack_textures(model: Model, settings: GlbSettings = GlbSettings()) -> Packed
     Encode the textures of a model.
 
     What is the same in all texels becomes a factor of the material: a colour, roughness, metalness, opacity; a normal
-    map without relief is left out. Where one of roughness and metalness is 0 everywhere, the image of the other is grey,
-    which is smaller in every format. Smaller sizes are mip levels as of :func:`..model.mips.filtered_levels`,
-    or the model's own.
+    map without relief is left out. Where one of roughness and metalness is 0 everywhere, the image of the other is
+    grey, which is smaller in every format. Smaller sizes are mip levels as of :func:`..model.mips.filtered_levels`, or
+    the model's own.
 
     Raises
     ------

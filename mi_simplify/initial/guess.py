@@ -225,7 +225,7 @@ def _textured(
         grouping = grouped(asset, model.mesh)
         baked = bake(
             asset, mesh, size=size * oversample, samples=_SAMPLES if oversample == 1 else 1,
-            grouping=grouping.split(settings.subdivisions),
+            grouping=grouping.split(settings.subdivisions), occlusion=settings.bake_occlusion,
         )  # fmt: skip
         if baked.missed > 0.05:
             notes.append(

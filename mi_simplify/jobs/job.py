@@ -246,6 +246,7 @@ def bake_job(
     *,
     keep_uv: bool = False,
     atlas_size: int | None = None,
+    bake_occlusion: bool = False,
     variant: str | None = None,
     overwrite: bool = False,
 ) -> dict[str, Path]:
@@ -270,7 +271,7 @@ def bake_job(
     asset, init = open_asset(reference), open_asset(lowpoly)
     progress(Progress("bake"))
     size: dict[str, Any] = {} if atlas_size is None else {"atlas_size": atlas_size}
-    model, _ = first_guess(asset, mesh=init, keep_uv=keep_uv, repair=False, **size)
+    model, _ = first_guess(asset, mesh=init, keep_uv=keep_uv, bake_occlusion=bake_occlusion, repair=False, **size)
     progress(Progress("export"))
     with folder.opened(), folder.staged() as stage:
         files = export_model(model, stage, extras={"generator": f"mi_simplify {__version__}"})

@@ -7,9 +7,11 @@ from support.parts import FACES, LOW, QUAD, QUAD_UV, asset_of, grid, painted
 from mi_simplify.errors import MeshError
 from mi_simplify.initial.bake.baker import bake, reaches
 from mi_simplify.initial.closest import ClosestPoints
+from mi_simplify.initial.groups import Grouping
 from mi_simplify.initial.sphere import sphere
 from mi_simplify.initial.unwrap.charting import unwrap
 from mi_simplify.model.asset import Material, Part
+from mi_simplify.model.groups import Group, Groups
 from mi_simplify.model.mesh import Mesh
 
 
@@ -144,3 +146,32 @@ def test_a_mesh_without_texels_is_refused():
     none = Mesh(QUAD, np.arange(4), np.zeros((4, 2), np.float32), FACES)
     with pytest.raises(MeshError, match="covers no texel"):
         bake(asset_of(Part(QUAD, FACES)), none, size=8)
+
+
+def test_occlusion_is_the_share_of_the_sky_that_the_asset_sees():
+    """A floor before a long wall: of the sky (1 - d / √(d² + h²)) / 2 is hidden, by the form factor of a strip."""
+    floor = np.array([[0, 0, 0], [1, 0, 0], [1, 0, -1], [0, 0, -1]]) * [[2.0, 1, 1]]
+    height, length = 0.5, 200
+    wall = np.array([[0, 0, length], [0, 0, -length], [0, height, -length], [0, height, length]])
+    glass = np.array([[0, 0.1, 1], [2, 0.1, 1], [2, 0.1, -2], [0, 0.1, -2]])
+    clear = Material("glass", np.float32([[[1, 1, 1, 0.5]]]), alpha_mode="BLEND")
+    asset = asset_of(Part(floor, FACES), Part(wall, FACES), Part(glass, FACES, material=clear))
+    low = Mesh(floor, np.arange(4), QUAD_UV, FACES)
+    grouping = Grouping(Groups((Group(),), np.zeros(2, int)), np.array([0, -1, -1]))
+    baked = bake(asset, low, size=32, grouping=grouping, occlusion=True)
+    d = where(low, 32)[..., 0]
+    want = 1 - (1 - d / np.hypot(d, height)) / 2
+    assert np.abs(baked.occlusion[..., 0] - want).mean() < 0.02  # 128 rays a texel
+    assert np.abs(baked.occlusion[..., 0].mean(0) - want.mean(0)).max() < 0.01
+    assert bake(asset, low, size=8, grouping=grouping).occlusion is None
+
+
+def test_the_darker_of_both_occlusions_counts_and_convex_things_have_none():
+    p, f = sphere(2000)
+    q, g = sphere(200)
+    low, _ = unwrap(q, g, atlas_size=32)
+    own = Material("m", occlusion=np.full((1, 1, 1), 0.25, np.float32))
+    assert bake(asset_of(Part(p, f)), low, size=32, occlusion=True).occlusion.mean() > 0.97
+    np.testing.assert_allclose(
+        bake(asset_of(Part(p, f, material=own)), low, size=32, occlusion=True).occlusion, 0.25, atol=1e-6
+    )

@@ -45,7 +45,7 @@ class Baked:
     emission : ndarray, shape (H, W, 3), float32, or None
         Linear; None where no material has any.
     occlusion : ndarray, shape (H, W, 1), float32, or None
-        None where no material has any.
+        None where no material has any, and none was asked for.
     least_opacity : ndarray, shape (groups,)
         Of the texels of each group.
     """
@@ -63,7 +63,7 @@ class Baked:
 
 def bake(
     asset: Asset, mesh: Mesh, *, size: int = 1024, samples: int = 2, reach: float | None = None,
-    grouping: Grouping | None = None,
+    grouping: Grouping | None = None, occlusion: bool = False,
 ) -> Baked:  # fmt: skip
     """
     Look from every texel along the smooth normal, both ways, and write down the closest surface that faces alike.
@@ -82,6 +82,8 @@ def bake(
         How far to look either way [world units]; by default from the distance of the two surfaces nearby.
     grouping : Grouping, optional
         Of the faces of ``mesh``: each looks at the surface of its own group alone, and opaque ones come out opaque.
+    occlusion : bool
+        Cast rays on the asset for its occlusion; where a material has one of its own, the darker of both counts.
 
     Raises
     ------
@@ -92,6 +94,7 @@ def bake(
     from ...machine.meshes import MISS
     from .decals import seen
     from .lookup import N_VALUES, Detail, LowPoly  # their classes need a variant
+    from .occlusion import Sky
 
     soup, _ = clean(merge(asset))
     closest = ClosestPoints(soup.vertices, soup.faces)
@@ -99,6 +102,7 @@ def bake(
     low = LowPoly(mesh, far, None if grouping is None else grouping.groups.of_face)
     owner = None if grouping is None else grouping.of_material[soup.material_index]
     detail = Detail(soup, owner)
+    sky = Sky(soup, detail) if occlusion else None
     n_groups = 1 if grouping is None else len(grouping.groups.kinds)
     is_opaque = mi.Bool(
         [grouping is not None and grouping.groups.kinds[k].alpha_mode == "OPAQUE" for k in range(n_groups)]
@@ -130,6 +134,8 @@ def bake(
         hits.face = dr.select(hits.face == MISS, 0, hits.face)
         dr.eval(hits)
         values = [*_solid(seen(detail, points, hits), dr.gather(mi.Bool, is_opaque, points.group))]
+        if sky is not None:
+            values[-1] = dr.minimum(values[-1], sky.seen(points, hits, k))
         values.append(mi.Float(1))
         values = [dr.select(points.active, x, 0) for x in values]
         dr.scatter_reduce(dr.ReduceOp.Min, least, values[6], points.group, points.active)
@@ -138,7 +144,7 @@ def bake(
     sums = np.stack([x.numpy() for x in total], 1).reshape(size, size, N_VALUES + 1)
     if not sums[..., N_VALUES].any():
         raise MeshError("the low-poly mesh covers no texel; it needs texture coordinates")
-    baked = _finish(sums, soup.materials, n_missed / sums[..., N_VALUES].sum())
+    baked = _finish(sums, soup.materials, n_missed / sums[..., N_VALUES].sum(), occlusion)
     return replace(baked, least_opacity=least.numpy())
 
 
@@ -153,7 +159,7 @@ def _solid(values: list[mi.Float], opaque: mi.Bool) -> list[mi.Float]:
     return [dr.select(opaque, x, y) for x, y in zip(solid, values, strict=True)]
 
 
-def _finish(sums: np.ndarray, materials: tuple[Material, ...], missed: float) -> Baked:
+def _finish(sums: np.ndarray, materials: tuple[Material, ...], missed: float, occlusion: bool) -> Baked:
     """Averages of the sums of :meth:`Detail.shade` and their count; the background filled."""
     count = sums[..., -1:]
     covered = count[..., 0] > 0
@@ -163,10 +169,11 @@ def _finish(sums: np.ndarray, materials: tuple[Material, ...], missed: float) ->
     normal = mean[..., 10:13] / np.maximum(np.linalg.norm(mean[..., 10:13], axis=2, keepdims=True), 1e-6)
     images = [np.concatenate([rgb, opacity], 2), mean[..., 7:10], normal, mean[..., 13:14]]
     has_emission, has_occlusion = (any(getattr(m, k) is not None for m in materials) for k in ("emission", "occlusion"))
+    has_occlusion |= occlusion
     images += [mean[..., 14:17]] * has_emission + [mean[..., 17:18]] * has_occlusion
     base_color, specular, normal, height, *more = dilate([x.astype(np.float32) for x in images], covered)
-    emission, occlusion = more[0] if has_emission else None, more[-1] if has_occlusion else None
-    return Baked(base_color, specular, normal, height, covered, float(missed), emission, occlusion)
+    emission, open_share = more[0] if has_emission else None, more[-1] if has_occlusion else None
+    return Baked(base_color, specular, normal, height, covered, float(missed), emission, open_share)
 
 
 def reaches(mesh: Mesh, closest: ClosestPoints, diagonal: float) -> np.ndarray:
