@@ -5,6 +5,7 @@ Every benchmark runs, on the smallest case that there is. What it measures is no
 import runpy
 import sys
 
+import numpy as np
 import pytest
 from support.paths import ROOT
 from support.short import SHORT
@@ -40,6 +41,7 @@ ARGUMENTS = {
     "goals sphere.ply:32 --factors .9 --out out --set": [*SHORT, "initial.atlas_size=64"],
     "gradient_table --rounds 2 --dry --only": ["two objects, 1 layer"],
     "gradients --json --steps 2 --row 1 32 200 64": [],
+    "morphs face.npz --triangles 200 --targets 2 --poses 1 --views 1 --set": SHORT,
     "quality --assets . --judge judge.py --out out --docs . --only spot,-500 --set": SHORT,
     "representations images --asset sphere.ply --triangles 200 --photographs 10 --side 32 --out out --set": [
         *SHORT,
@@ -90,6 +92,13 @@ def test_a_benchmark_runs(line, tmp_path, monkeypatch, capsys):
         glb.mesh(glb.quad(glb.material()))
         glb.nodes(*[{"mesh": 0, "translation": [k % 5, k // 5, k % 3]} for k in range(30)])
         glb.save(tmp_path / "plant.glb")
+    if name == "morphs":
+        x, y = np.meshgrid(*[np.linspace(-1, 1, 17)] * 2)
+        neutral = np.stack([x.ravel(), y.ravel(), (1 - x**2 - y**2).ravel()], 1)
+        corner = (17 * np.arange(16)[:, None] + np.arange(16)).ravel()[:, None]
+        shapes = np.stack([0.3 * neutral * [0, 0, k] for k in (1, 2)]).astype(np.float16)
+        names = np.array(["one", "two"])
+        np.savez("face.npz", neutral=neutral, quads=corner + [0, 1, 18, 17], expression=shapes, expression_names=names)
     if name == "quality":
         for folder in ("images", "spot"):
             (tmp_path / folder).mkdir()
