@@ -17,11 +17,11 @@ import numpy as np
 
 import mi_simplify as ms
 from mi_simplify.fitting.loop import fit
-from mi_simplify.initial.morphs import carried_morphs
+from mi_simplify.initial.closest import ClosestPoints
 from mi_simplify.initial.quadrics import quadrics_only
 from mi_simplify.judging.evaluate import Judging, compare_assets
 from mi_simplify.model.asset import Asset, Instance, Morph, Part
-from mi_simplify.model.model import Model
+from mi_simplify.model.model import Model, Morphs
 from mi_simplify.subjects.model_file import ModelFile
 
 
@@ -79,8 +79,13 @@ def face(path: str, n_targets: int) -> Asset:
 
 
 def with_targets(model: Model, asset: Asset) -> Model:
-    """A model with the asset's targets, carried over by closest points."""
-    return replace(model, morphs=carried_morphs(asset, model.mesh))
+    """A model with the asset's targets as scripts carry them over: those of the closest points."""
+    (part,), mesh = asset.parts, model.mesh
+    found = ClosestPoints(part.vertices, part.faces).query(mesh.positions)
+    corners = part.faces[found.face]
+    offsets = [np.einsum("nc,nci->ni", found.barycentric, morph.offsets[corners]) for morph in part.morphs]
+    names = tuple(morph.name for morph in part.morphs)
+    return replace(model, morphs=Morphs(names, (0.0,) * len(names), np.array(offsets)))
 
 
 def posed(asset: Asset, weights: np.ndarray) -> Asset:
