@@ -20,6 +20,11 @@ class AmbientSettings(Section):
         "without shadows, in spherical harmonics of degree 3; it is written as `environment.exr`. `auto`: what "
         "the asset is known to be lit by; none for a model file.",
     )
+    rows: Literal[0, 8, 16, 32, 64, 128] = Field(
+        0,
+        description="Of an `environment`: a latitude-longitude map of this many rows and twice as many columns instead "
+        "of harmonics, as sharp as mirrors show it.",
+    )
     color: Triple = Field((0.1, 0.1, 0.1), description="Where either starts: the same radiance from everywhere.")
     optimize: bool = Field(True, description="Find it together with the model; off: it stays as it starts.")
     export: Literal["fold", "drop"] = Field(

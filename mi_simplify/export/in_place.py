@@ -17,6 +17,7 @@ from ..latent.file_model import FileModel
 from ..machine.files import write_atomic
 from ..model.asset import Material, Part
 from ..model.color import linear_to_srgb
+from ..model.light.environment_map import as_harmonics
 from ..model.model import Model
 
 _COLOR, _SPECULAR = ("base_color", "opacity"), ("roughness", "metallic")
@@ -98,7 +99,7 @@ def write_in_place(
             edit.primitive(*part.place[:2])["attributes"].pop("TANGENT", None)
     if fitted.ambient is not None and "ambient" in names:
         extras = edit.json.setdefault("asset", {}).setdefault("extras", {})
-        extras["ambient"] = " ".join(f"{x:.6g}" for x in fitted.ambient.ravel())
+        extras["ambient"] = " ".join(f"{x:.6g}" for x in as_harmonics(fitted.ambient).ravel())
     return write_atomic(path, edit.glb())
 
 

@@ -9,13 +9,18 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from ..latent.ambient import Harmonics, MapLight, in_packets, light_of
 from ..scenes.views import Views
+
+#: Packets of a view.
+_ROWS = 6
 
 
 @dataclass
 class Cameras:
     """
-    The views' cameras and lights in packets of four floats, so that one sample fetches them in six wide gathers.
+    The views' cameras and lights in packets of four floats, so that one sample fetches them in six wide gathers;
+    behind them, once for all views, the light besides the point lights.
 
     Film coordinates are ``(x, y)`` in pixels from the top left corner of the image; the views' images
     lie behind each other, pixel ``(b, y, x)`` at ``(b·height + y)·width + x``.
@@ -25,7 +30,7 @@ class Cameras:
     n_views: int
     width: int
     height: int
-    n_rows: int = 6
+    n_light: int = 0
 
     @property
     def n_pixels(self) -> int:
@@ -46,23 +51,22 @@ class Cameras:
             [*views.light_position, mi.Float(0)],
             [*views.light_intensity, mi.Float(0)],
         ]
-        if views.ambient is not None:
-            light = [dr.gather(mi.Float, views.ambient, k) for k in range(dr.width(views.ambient))]
-            rows += [[*light[k : k + 3], mi.Float(0)] for k in range(0, len(light), 3)]
         columns = [c + dr.zeros(mi.Float, n) for row in rows for c in row]
         packets = dr.ravel(mi.ArrayXf(columns))
-        return Cameras(packets, n, views.width, views.height, len(rows))
+        light, n_light = in_packets(views.ambient)
+        if n_light:
+            packets = dr.concat((packets, light))
+        return Cameras(packets, n, views.width, views.height, n_light)
 
     def fetch(self, view: mi.UInt32, row: int, active=True) -> mi.Vector4f:
         """
-        Packet ``row`` (0 origin and tan_x, 1 right, 2 up, 3 forward, 4 light position, 5 light intensity,
-        6 and on the ambient light).
+        Packet ``row`` (0 origin and tan_x, 1 right, 2 up, 3 forward, 4 light position, 5 light intensity).
         """
-        return dr.gather(mi.Vector4f, self.packets, view * self.n_rows + row, active)
+        return dr.gather(mi.Vector4f, self.packets, view * _ROWS + row, active)
 
-    def ambient(self, view: mi.UInt32) -> list[mi.Color3f]:
-        """Coefficients of the ambient light; none where there is no such light."""
-        return [mi.Color3f(self.fetch(view, row).xyz) for row in range(6, self.n_rows)]
+    def ambient(self) -> Harmonics | MapLight | None:
+        """The light besides the point lights, the same in all views."""
+        return light_of(self.packets, self.n_views * _ROWS, self.n_light)
 
     def origin(self, view: mi.UInt32) -> mi.Point3f:
         """Camera position."""

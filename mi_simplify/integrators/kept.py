@@ -13,6 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..latent.ambient import in_packets, light_of
 from ..latent.surface import Surface
 from ..latent.textures import Textures
 from ..machine.frozen import frozen
@@ -171,8 +172,8 @@ def image_of(kept: Kept, textures: Textures, channels: tuple[int, ...], ambient:
     """
     if kept.hits is None:
         return dr.zeros(mi.Vector4f, kept.cameras.n_pixels)
-    ambient = mi.Float(0) if ambient is None else dr.detach(ambient)
-    return pixels(_image(kept.hits, kept.cameras, textures, channels, ambient, form), kept.cameras)
+    light, _ = in_packets(None if ambient is None else dr.detach(ambient))
+    return pixels(_image(kept.hits, kept.cameras, textures, channels, light, form), kept.cameras)
 
 
 def gradient_of(
@@ -192,11 +193,11 @@ def gradient_of(
     """
     if kept.hits is None or kept.readers is None:
         return None
-    lit = mi.Float(0) if ambient is None else dr.detach(ambient)
-    wanted = ambient is not None and dr.grad_enabled(ambient)
-    by_hit, by_ambient = _by_hit(kept.hits, kept.cameras, textures, channels, lit, form, dr.ravel(grad), wanted)
+    light, _ = in_packets(ambient)
+    wanted, lit = dr.grad_enabled(light), dr.detach(light)
+    by_hit, by_light = _by_hit(kept.hits, kept.cameras, textures, channels, lit, form, dr.ravel(grad), wanted)
     if wanted:
-        dr.accum_grad(ambient, by_ambient)
+        backward_from(light, by_light)
     if not channels:
         return None
     return kept.readers.texel, _gathered(kept.readers, by_hit, len(channels))
@@ -217,38 +218,37 @@ def _values(hits: KeptHits, textures: Textures, channels: tuple[int, ...]) -> li
 
 
 def _shaded(
-    hits: KeptHits, cameras: Cameras, textures: Textures, values: list[mi.Float], ambient: mi.Float, form: str
+    hits: KeptHits, cameras: Cameras, textures: Textures, values: list[mi.Float], light: mi.Float, form: str
 ) -> mi.Vector4f:
     """Premultiplied radiance and coverage of every hit."""
     position, intensity = cameras.fetch(hits.view, 4).xyz, cameras.fetch(hits.view, 5).xyz
     direction = dr.normalize(mi.Vector3f(hits.p - cameras.origin(hits.view)))
-    n = dr.width(ambient) // 3
-    light = [mi.Color3f(*(dr.gather(mi.Float, ambient, mi.UInt32(3 * k + c)) for c in range(3))) for k in range(n)]
+    ambient = light_of(light, 0, dr.width(light) // 4)
     texels = textures.unpack(mi.ArrayXf(values))
-    return shade(hits.fragment(), texels, direction, position, intensity, form, light)
+    return shade(hits.fragment(), texels, direction, position, intensity, form, ambient)
 
 
 @frozen("hits")
-def _image(hits, cameras, textures, channels, ambient, form):
+def _image(hits, cameras, textures, channels, light, form):
     """Flat image of the views."""
     image = dr.zeros(mi.Float, cameras.n_pixels * 4)
-    value = _shaded(hits, cameras, textures, _values(hits, textures, channels), ambient, form) * hits.weight
+    value = _shaded(hits, cameras, textures, _values(hits, textures, channels), light, form) * hits.weight
     dr.scatter_reduce(dr.ReduceOp.Add, image, value, hits.pixel, mode=dr.ReduceMode.Local)
     return image
 
 
 @frozen("hits")
-def _by_hit(hits, cameras, textures, channels, ambient, form, grad, light_moves):
-    """Derivatives by the values that every hit reads, flat, hit after hit, and by the ambient light."""
-    values, ambient = _values(hits, textures, channels), mi.Float(ambient)
+def _by_hit(hits, cameras, textures, channels, light, form, grad, light_moves):
+    """Derivatives by the values that every hit reads, flat, hit after hit, and by the light's packets."""
+    values, light = _values(hits, textures, channels), mi.Float(light)
     for c in channels:
         dr.enable_grad(values[c])
     if light_moves:
-        dr.enable_grad(ambient)
-    out = _shaded(hits, cameras, textures, values, ambient, form)
+        dr.enable_grad(light)
+    out = _shaded(hits, cameras, textures, values, light, form)
     backward_from(out, dr.gather(mi.Vector4f, grad, hits.pixel) * hits.weight)
     by_value = dr.ravel(mi.ArrayXf([dr.grad(values[c]) for c in channels])) if channels else mi.Float(0)
-    return by_value, dr.grad(ambient) if light_moves else mi.Float(0)
+    return by_value, dr.grad(light) if light_moves else mi.Float(0)
 
 
 @dr.syntax

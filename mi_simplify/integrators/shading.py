@@ -4,14 +4,13 @@ Direct light of one point light on the latent surface: what the latent renderer 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 
 from ..bsdfs import microfacet
-from ..latent.ambient import ambient_radiance
+from ..latent.ambient import Harmonics, MapLight
 from ..latent.footprint import Footprint
 from ..latent.surface import Surface
 from ..latent.texel_gradient import TouchedBlocks
@@ -56,7 +55,7 @@ def shade(
     light_position: mi.Point3f,
     light_intensity: mi.Color3f,
     form: str = "gltf",
-    ambient: Sequence[mi.Color3f] = (),
+    ambient: Harmonics | MapLight | None = None,
 ) -> mi.Vector4f:
     """
     Premultiplied radiance and coverage of a fragment under one point light and an ambient one, no shadows.
@@ -67,8 +66,8 @@ def shade(
         Of the camera ray.
     light_position : mi.Point3f
     light_intensity : mi.Color3f
-    ambient : sequence of mi.Color3f
-        Coefficients, see :mod:`..latent.ambient`.
+    ambient : Harmonics or MapLight, optional
+        See :mod:`..latent.ambient`.
 
     Returns
     -------
@@ -84,8 +83,8 @@ def shade(
         texels.base_color, texels.gamma, texels.roughness, texels.metallic, n, wi, wo, form
     )  # fmt: skip
     radiance = value * mi.Color3f(light_intensity) * inv_d2
-    if ambient:
-        radiance += ambient_radiance(ambient, texels, n, wi)
+    if ambient is not None:
+        radiance += ambient.radiance(texels, n, wi)
     radiance *= texels.opacity
     out = mi.Vector4f(radiance.x, radiance.y, radiance.z, texels.opacity)
     return dr.select(hit.active, out, 0)
@@ -127,7 +126,7 @@ def shade_hits(
     light, intensity = rays.cameras.fetch(view, 4).xyz, rays.cameras.fetch(view, 5).xyz
     if hits.lit is not None:
         intensity = dr.select(hits.lit, intensity, 0)
-    ambient = rays.cameras.ambient(view)
+    ambient = rays.cameras.ambient()
     return shade(hit, texels, direction, light, intensity, form, ambient), footprint
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from .. import __version__
 from ..config import dump
 from ..errors import ConfigError
+from ..export.environment import ENVIRONMENT, write_environment
 from ..fitting.fit import Fit
 from ..formats.textures import png
 from ..judging.metrics import psnr, silhouette_error
@@ -65,6 +66,8 @@ class _Record(Record):
         """See :class:`..record.record.Record`."""
         with self.folder.staged() as stage:
             self.optimization.write(model, stage / RESULT)
+            if model.ambient is not None and len(model.ambient) > 1:
+                write_environment(model.ambient, stage / ENVIRONMENT)
         return self.folder.path / RESULT
 
 

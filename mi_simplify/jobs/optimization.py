@@ -13,12 +13,14 @@ from typing import Any
 from ..config import Config, load_config
 from ..config.problems import nearest
 from ..errors import AssetError, ConfigError, UserError
+from ..export.environment import write_environment
 from ..export.in_place import check_in_place, write_in_place
 from ..fitting import Run
 from ..formats.load import load_asset
 from ..latent.file_model import FileModel, file_model
 from ..machine.runtime import ensure_variant
 from ..model.frame import Frame
+from ..model.light.environment_map import as_map
 from ..model.light.harmonics import constant_environment
 from ..model.model import Model
 from ..record.output import check_writable
@@ -186,6 +188,8 @@ class Optimization:
         ambient = self.target.ambient
         if ambient is None and "ambient" in quantities:
             ambient = constant_environment((0.05, 0.05, 0.05))
+        if ambient is not None and len(ambient) > 1 and (rows := self.config.latent.ambient.rows):
+            ambient = as_map(ambient, rows)
         return replace(self._origin.model, ambient=ambient), _optimizing(self.config, self._rates)
 
     def step(self) -> dict | None:
@@ -238,6 +242,23 @@ class Optimization:
             raise ConfigError(f"the result is a GLB file; call it something.glb, got '{Path(path).name}'")
         check_writable(path)
         return self.write(self.model(), path)
+
+    def save_environment(self, path: str | Path) -> Path:
+        """
+        Write the light of the best state so far as a latitude-longitude image, ``.exr`` or ``.hdr``.
+
+        Raises
+        ------
+        ConfigError
+            The fit has no environment, or the name ends otherwise.
+        OutputError
+            It cannot be written.
+        """
+        ambient = self.model().ambient
+        if ambient is None or len(ambient) == 1:
+            raise ConfigError("this fit has no environment; name 'environment' as one of the parameters")
+        check_writable(path)
+        return write_environment(ambient, path)
 
     def write(self, model: Model, path: str | Path) -> Path:
         """

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..integrators.deferred import DeferredRenderer
+from ..latent.environment import looked_up
 from ..latent.latent import Latent
 from ..latent.textures import needs_extended
 from ..model.model import Model
@@ -39,7 +40,7 @@ class Screen:
             mips = "none" if not halves else "custom" if model.mips else "derived"
         self.latent = Latent(model, needs_extended(model.base_color, model.specular), mips)
         self.renderer = DeferredRenderer(self.latent.topology, form=form, shade=shade)
-        self.ambient = None if model.ambient is None else mi.Float(model.ambient.ravel())
+        self.ambient = looked_up(model.ambient)
 
     def images(self, views: Views, *, spp: int = 16, seed: int = 1) -> np.ndarray:
         """

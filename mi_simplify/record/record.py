@@ -13,9 +13,10 @@ from typing import Any
 from ..config import Config
 from ..errors import OutputError
 from ..export import export_model
-from ..export.environment import write_environment
+from ..export.environment import ENVIRONMENT, write_environment
 from ..fitting import FitResult, Run, fit
 from ..model.frame import Frame
+from ..model.light.environment_map import as_harmonics
 from ..model.model import Model
 from ..progress import Progress, ProgressCallback
 from ..scenes.references.reference import Reference
@@ -120,13 +121,13 @@ class Record:
         environment = None
         if model.ambient is not None:
             environment = model.ambient if len(model.ambient) > 1 else None
-            facts = facts | {"ambient": " ".join(f"{x:.6g}" for x in model.ambient.ravel())}
+            facts = facts | {"ambient": " ".join(f"{x:.6g}" for x in as_harmonics(model.ambient).ravel())}
             if self.config.latent.ambient.export == "drop":
                 model = replace(model, ambient=None)
         try:
             with self.folder.staged() as stage:
                 if environment is not None:
-                    write_environment(environment, stage)
+                    write_environment(environment, stage / ENVIRONMENT)
                 files = export_model(model, stage, formats=formats, extras=facts, glb=self.config.export.glb)
         except OutputError as error:
             spare = Path(tempfile.mkdtemp(prefix="mi-simplify-"))

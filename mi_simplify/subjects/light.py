@@ -12,7 +12,7 @@ from ..config import Config
 from ..errors import AssetError
 from ..integrators.deferred import DeferredRenderer
 from ..judging.self_check import as_written, stored_tangents
-from ..machine.upload import upload
+from ..latent.environment import looked_up
 from ..model.asset import Asset, Part
 from ..scenes.references.path_traced import make_reference
 from ..scenes.references.reference import Reference
@@ -53,7 +53,7 @@ class InEnvironment:
             raise AssetError(f"{asset.name}: only a model with one atlas can be shown in the light it was fitted to")
         self.topology, self.surface, self.textures, positions = as_written(parts, stored_tangents(asset))
         self.spp = spp
-        self._ambient = upload(mi.Float, np.ravel(np.asarray(asset.ambient)))
+        self._ambient = looked_up(asset.ambient)
         self._renderer = DeferredRenderer(self.topology, form=form)
         self._renderer.move(positions)
 

@@ -30,6 +30,7 @@ from ..judging.comparison import Comparison
 from ..judging.evaluate import Judging, Rendering, compare_renderings, half
 from ..model.asset import Asset
 from ..model.frame import Frame
+from ..model.light.environment_map import as_map, resized
 from ..model.light.harmonics import constant_environment, environment_coefficients
 from ..model.model import Model, VertexSets
 from ..progress import ProgressCallback
@@ -163,9 +164,11 @@ class Subject(ABC):
         """Where the ambient light of the latent model starts, shape (K, 3); None where it has none."""
         ambient, known = self.config.latent.ambient, self.config.reference.environment
         if ambient.kind == "environment" and known is not None:
-            return environment_coefficients(read_environment(known))
+            image = read_environment(known)
+            return resized(image, rows).reshape(-1, 3) if (rows := ambient.rows) else environment_coefficients(image)
         if ambient.kind == "environment":
-            return constant_environment(ambient.color)
+            constant = constant_environment(ambient.color)
+            return as_map(constant, ambient.rows) if ambient.rows else constant
         return np.array([ambient.color], np.float32) if ambient.kind == "color" else None
 
     def _quadrics(self, triangles: int) -> Model:

@@ -10,7 +10,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...machine.upload import upload
+from ...latent.environment import MapFilter, looked_up
+from ...model.light.environment_map import rows_of
 from .adam import Adam
 
 
@@ -21,20 +22,26 @@ class AmbientSteps:
     Parameters
     ----------
     start : ndarray, shape (K, 3), or None
-        None where there is no such light; then nothing here does anything.
+        None where there is no such light; then nothing here does anything. A map is optimised texel by texel, and
+        looked at through its filters.
     optimize : bool
     rate : float
     """
 
     def __init__(self, start: np.ndarray | None, optimize: bool, rate: float):
         self._shape = None if start is None else start.shape
-        self._fixed = None if start is None else upload(mi.Float, start.ravel())
+        self._fixed = looked_up(start)
+        self._start = start
+        rows = 0 if start is None else rows_of(len(start))
+        self._filter = MapFilter(rows) if rows and optimize else None
         self._adam = Adam(start.ravel(), rate) if start is not None and optimize else None
 
     @property
     def value(self) -> mi.Float | None:
-        """Coefficients, flat, width K·3."""
-        return self._fixed if self._adam is None else self._adam.value
+        """What renderers look at, flat: coefficients, or the filtered texels of a map."""
+        if self._adam is None:
+            return self._fixed
+        return self._adam.value if self._filter is None else self._filter.filtered(self._adam.value)
 
     def leaf(self) -> mi.Float | None:
         """
@@ -42,17 +49,18 @@ class AmbientSteps:
         """
         if self._adam is None:
             return self._fixed
-        leaf = mi.Float(self._adam.value)
+        leaf = mi.Float(self.value)
         dr.enable_grad(leaf)
         return leaf
 
     def step(self, leaf: mi.Float | None, factor: float) -> None:
         """
-        One update from the gradient of a :meth:`leaf`; an ambient colour stays positive.
+        One update from the gradient of a :meth:`leaf`; an ambient colour and a map stay positive.
         """
         if self._adam is not None:
-            self._adam.step(dr.grad(leaf), factor)
-            if self._shape == (1, 3):
+            grad = dr.grad(leaf)
+            self._adam.step(grad if self._filter is None else self._filter.gradient(grad), factor)
+            if self._shape == (1, 3) or self._filter is not None:
                 self._adam.value = dr.maximum(self._adam.value, 0)
                 dr.eval(self._adam.value)
 
@@ -60,8 +68,9 @@ class AmbientSteps:
         """
         The light in NumPy, shape (K, 3), float32.
         """
-        value = self.value
-        return None if value is None else value.numpy().reshape(self._shape).copy()
+        if self._adam is None:
+            return self._start
+        return self._adam.value.numpy().reshape(self._shape).copy()
 
     def parameters(self) -> dict[str, np.ndarray]:
         """What is optimised, as copies."""

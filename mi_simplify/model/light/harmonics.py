@@ -55,13 +55,16 @@ def environment_coefficients(image: np.ndarray, degree: int = MAX_DEGREE) -> np.
     shape ((degree + 1)², 3), float32.
     """
     height, width = image.shape[:2]
-    direction, weight = _directions(height, width)
+    direction, weight = sphere_directions(height, width)
     basis = np.stack(harmonics(degree, *direction), axis=2) * weight[..., None]
     return np.einsum("hwk,hwc->kc", basis, np.asarray(image, np.float64)).astype(np.float32)
 
 
-def _directions(height: int, width: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """Unit vectors of the pixels of a latitude-longitude image, and the solid angles of these."""
+def sphere_directions(height: int, width: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """
+    Unit vectors (x, y, z) of the pixels of a latitude-longitude image, and the solid angles of these, shape (H, W)
+    each.
+    """
     v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
     theta, phi = np.pi * v, 2 * np.pi * u
     direction = (np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi))
@@ -74,6 +77,6 @@ def environment_image(coefficients: np.ndarray, height: int = 64) -> np.ndarray:
 
     The top row is +Y, the middle column +Z: how Mitsuba and glTF viewers hold such images.
     """
-    direction, _ = _directions(height, 2 * height)
+    direction, _ = sphere_directions(height, 2 * height)
     basis = np.stack(harmonics(degree_of(len(coefficients)), *direction), axis=2)
     return np.maximum(basis @ np.asarray(coefficients, np.float64), 0).astype(np.float32)
