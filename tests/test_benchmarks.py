@@ -34,6 +34,7 @@ ARGUMENTS = {
     "detail displacement sphere.ply --steps 2 --views 3 --resolution 32 --set": [*SHORT, "initial.triangles=60"],
     "detail tessellations sphere.ply --steps 1 --views 3 --resolution 32 --set": [*SHORT, "initial.triangles=60"],
     "detail chain sphere.ply --budgets 300,100 --steps 2 --set": SHORT,
+    "dressi_light --shapes torus --materials metal --roughness .3 --rows 8 --steps 2 --views 2 --side 16 --spp 2": [],
     "end_to_end --smallest sphere.ply": [],
     "files sphere.ply:200 --size 128 --out out": [],
     "foliage --plant plant.glb --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],

@@ -50,7 +50,7 @@ DEFAULTS: dict[str, Any] = {
         "large_steps": {"lambda_": 1.0},
     },
     "reference": {"spp": 16},
-    "latent": {"ambient": {"kind": "none"}},
+    "latent": {"ambient": {"kind": "none", "color": (0.05, 0.05, 0.05)}},
     "loss": {"laplacian": {"weight": 0.05}},
 }
 
@@ -187,7 +187,7 @@ class Optimization:
                 log.warning("%s: %s", self.asset.name, note)
         ambient = self.target.ambient
         if ambient is None and "ambient" in quantities:
-            ambient = constant_environment((0.05, 0.05, 0.05))
+            ambient = constant_environment(self.config.latent.ambient.color)
         if ambient is not None and len(ambient) > 1 and (rows := self.config.latent.ambient.rows):
             ambient = as_map(ambient, rows)
         return replace(self._origin.model, ambient=ambient), _optimizing(self.config, self._rates)
