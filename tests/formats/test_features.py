@@ -30,11 +30,12 @@ def simplified(names, folder):
     path = export_model(model, folder, formats=["glb"])["glb"]
     data = path.read_bytes()
     document = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
-    return asset, document, load_asset(path)
+    return asset, document, load_asset(path), path
 
 
 def check(names, folder):
-    asset, document, written = simplified(names, folder)
+    """Looks at one file; returns the path of what became of it."""
+    asset, document, written, path = simplified(names, folder)
     (material,) = document["materials"]
     (before,), after = {id(p.material): p.material for p in asset.parts}.values(), written.parts[0].material
     assert after.lobes == before.lobes
@@ -52,6 +53,27 @@ def check(names, folder):
     carried = set(before.lobes)
     assert carried <= set(document.get("extensionsUsed", ()))
     assert sum("carried over" in note for note in asset.notes) == len(carried)
+    return path
+
+
+VALIDATOR = """
+    const fs = require('fs'), validator = require('gltf-validator');
+    (async () => {
+        const found = [];
+        for (const path of JSON.parse(fs.readFileSync(0))) {
+            const report = await validator.validateBytes(new Uint8Array(fs.readFileSync(path)));
+            if (report.issues.numErrors + report.issues.numWarnings) found.push([path, report.issues.messages]);
+        }
+        console.log(JSON.stringify(found));
+    })();
+"""
+
+
+def pairs() -> list[list[str]]:
+    """All pairs of features that one file can have."""
+    names = list(FEATURES)
+    every = [[a, b] for k, a in enumerate(names) for b in names[k + 1 :]]
+    return [pair for pair in every if not set(pair) <= BASE]
 
 
 def test_what_is_left_out_is_told_and_nothing_else(tmp_path):
@@ -80,6 +102,16 @@ def test_so_are_several_at_once(seed, tmp_path):
         first, *others = [n for n in names if n in exclusive] or [""]
         names = [n for n in names if n not in others]
         check(names, tmp_path)
+
+
+@pytest.mark.slow
+def test_pairs_satisfy_the_validator_of_khronos(tmp_path, node_run):
+    every = pairs()
+    written = []
+    for k in np.random.default_rng(4).permutation(len(every))[:40]:
+        (tmp_path / str(k)).mkdir()
+        written.append(str(check(every[k], tmp_path / str(k))))
+    assert json.loads(node_run("gltf-validator", VALIDATOR, json.dumps(written))) == []
 
 
 def table() -> dict[str, str]:
