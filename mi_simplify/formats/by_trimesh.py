@@ -4,6 +4,7 @@ OFF, 3MF and Collada through trimesh, which reads them; their materials as far a
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from ..errors import AssetError
 from ..model.asset import Asset, Instance, Material, Part
 from ..model.color import srgb_to_linear
 from .images import to_float
+from .resources import printable
 
 #: Suffixes, and what trimesh needs besides itself to read them.
 SUFFIXES = {".off": (), ".3mf": ("lxml", "networkx"), ".dae": ("pycollada",)}
@@ -29,6 +31,8 @@ def read_by_trimesh(path: Path) -> Asset:
     """
     import trimesh
 
+    said = _Lines()
+    logging.getLogger("trimesh").addHandler(said)
     try:
         scene: Any = trimesh.load(path, force="scene", process=False)
     except (ImportError, AttributeError) as error:
@@ -37,7 +41,9 @@ def read_by_trimesh(path: Path) -> Asset:
     except Exception as error:  # whatever a reader of somebody else's stumbles over
         line = (str(error).splitlines() or [type(error).__name__])[0]
         raise AssetError(f"{path.name}: trimesh cannot read it ({line:.100}); export it as GLB") from error
-    notes: list[str] = []
+    finally:
+        logging.getLogger("trimesh").removeHandler(said)
+    notes = [f"trimesh: {printable(line)}" for line in dict.fromkeys(said.lines)]
     parts: dict[str, int] = {}
     made: list[Part] = []
     for name, mesh in scene.geometry.items():
@@ -52,8 +58,19 @@ def read_by_trimesh(path: Path) -> Asset:
         if name in parts:
             instances.append(Instance(parts[name], np.asarray(to_world, np.float64), name=str(node), node=str(node)))
     if not instances:
-        raise AssetError(f"{path.name}: it holds no triangles; export a mesh")
+        raise AssetError(f"{path.name}: trimesh finds no triangles in it; export a mesh, as GLB")
     return Asset(tuple(made), tuple(instances), notes=tuple(notes))
+
+
+class _Lines(logging.Handler):
+    """What trimesh warns of while it reads a file: what it leaves out."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.lines.append(" ".join(record.getMessage().split()))
 
 
 def _part(name: str, mesh: Any) -> Part:

@@ -1,5 +1,7 @@
 """OFF, 3MF and Collada through trimesh: positions, colours and placements as they were written."""
 
+import logging
+
 import numpy as np
 import pytest
 import trimesh
@@ -41,6 +43,19 @@ def test_face_colours_are_linear_and_split_the_vertices(tmp_path):
 def test_what_trimesh_cannot_read_is_one_line(text, tmp_path):
     path = tmp_path / "broken.off"
     path.write_text(text)
-    with pytest.raises(AssetError, match="broken.off: (trimesh cannot read it|it holds no triangles)") as caught:
+    with pytest.raises(AssetError, match="broken.off: trimesh (cannot read it|finds no triangles)") as caught:
         load_asset(path)
     assert "\n" not in str(caught.value)
+
+
+def test_what_trimesh_warns_of_is_a_note_and_not_printed(tmp_path, monkeypatch, capfd):
+    load = trimesh.load
+
+    def warning(*args, **kwargs):
+        logging.getLogger("trimesh").warning("id 1 included\nbut not defined!")
+        return load(*args, **kwargs)
+
+    monkeypatch.setattr(trimesh, "load", warning)
+    trimesh.creation.box().export(tmp_path / "box.off")
+    assert load_asset(tmp_path / "box.off").notes == ("trimesh: id 1 included but not defined!",)
+    assert capfd.readouterr() == ("", "") and not logging.getLogger("trimesh").handlers

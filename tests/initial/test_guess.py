@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.parts import FACES, QUAD, QUAD_UV, asset_of
 
 from mi_simplify.config import InitialSettings
 from mi_simplify.errors import ConfigError, MeshError
@@ -113,6 +114,8 @@ def test_what_has_no_triangles_can_still_start_from_a_sphere():
 def test_budgets_are_refused_in_one_line_with_both_counts():
     with pytest.raises(MeshError, match=r"above the input's own 3000 \(1502 vertices\); ask for fewer"):
         first_guess(pear(), triangles=3001)
+    with pytest.raises(MeshError, match="has 2 triangles, too few to simplify"):
+        first_guess(asset_of(Part(QUAD, FACES, uvs=QUAD_UV)), triangles=300)
     with pytest.raises(ConfigError, match="triangles: .*greater than or equal to 4, got 3"):
         first_guess(pear(), triangles=3)
     with pytest.raises(MeshError, match=r"low has 200 triangles \(102 vertices\), above the budget of 199"):

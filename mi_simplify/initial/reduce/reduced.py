@@ -18,6 +18,9 @@ from .crumbs import components
 
 log = logging.getLogger("mi_simplify")
 
+#: Triangles of the smallest closed mesh, and the least budget.
+LEAST = 4
+
 #: How often a budget is tried, of which instances take a share that depends on what comes of it.
 _TRIES = 6
 
@@ -73,13 +76,15 @@ def reduced_apart(
 
 def require_budget(asset: Asset, triangles: int) -> None:
     """
-    Raise :class:`MeshError` where more triangles are asked for than an asset has.
+    Raise :class:`MeshError` where more triangles are asked for than an asset has, or it has too few for any budget.
     """
+    if asset.n_triangles < LEAST:
+        raise MeshError(f"{asset.name} has {asset.n_triangles} triangles, too few to simplify: {LEAST} are the least")
     if triangles > asset.n_triangles:
         raise MeshError(
             f"a budget of {triangles} triangles is above the input's own {asset.n_triangles} "
             f"({len(merge(asset).positions)} vertices); ask for fewer, as with --triangles "
-            f"{max(4, asset.n_triangles // 2)}"
+            f"{max(LEAST, asset.n_triangles // 2)}"
         )
 
 
