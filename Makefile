@@ -35,13 +35,16 @@ $(VENV)/.docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@
 
-# What the tests of the report in a real browser need; without it they are skipped, so nothing here has to succeed.
+# What the tests in a real browser need, and what they need of npm; without it they are skipped, so nothing here has to
+# succeed.
 $(VENV)/.browser: $(VENV)/.installed
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[browser]' || \
 		echo "no playwright could be installed: the browser tests will be skipped" >&2
 	@for c in chromium chromium-browser google-chrome; do command -v $$c >/dev/null && exit; done; \
 		test "$$(id -u)" = 0 && apt-get update -qq && apt-get install -qq --no-install-recommends chromium >/dev/null || \
 		echo "no chromium could be installed: the browser tests will be skipped" >&2
+	@npm install --silent --no-save --no-package-lock three gltf-validator mikktspace >/dev/null 2>&1 || \
+		echo "npm could not install three and gltf-validator: tests with them will be skipped" >&2
 	@touch $@
 
 browser: $(VENV)/.browser

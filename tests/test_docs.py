@@ -100,7 +100,9 @@ def run(line: str) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", [line for line in commands() if "--resume" not in line])  # see test_checkpoint.py
+@pytest.mark.parametrize(
+    "line", [line for line in commands() if "--resume" not in line and "--renderer three" not in line]
+)  # see test_checkpoint.py and test_three.py
 def test_a_documented_command_succeeds(line, workplace, finished, capsys):
     """Folders and files of earlier runs are there where the command does not write them."""
     argv = shlex.split(line)

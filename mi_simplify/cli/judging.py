@@ -19,6 +19,13 @@ _JUDGED = combined(
     click.option("--resolution", type=click.IntRange(16, 8192), default=256, show_default=True, help="Side [px]."),
     click.option("--spp", type=click.IntRange(1, 65536), default=64, show_default=True, help="Samples per pixel."),
     click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Views and noise."),
+    click.option(
+        "--renderer",
+        type=click.Choice(["mitsuba", "three"]),
+        default="mitsuba",
+        show_default=True,
+        help="Mitsuba's path tracer, or three.js in an installed Chromium (extra `browser`, and npm's package three).",
+    ),
     FRAMES,
     VARIANT,
     OVERWRITE,
@@ -48,7 +55,9 @@ def compare(**options) -> None:
         print(Path(options["out"], "report.html"))
 
 
-def _judge(reference, candidates, out, views, resolution, spp, seed, frames, variant, overwrite, quiet) -> None:
+def _judge(
+    reference, candidates, out, views, resolution, spp, seed, renderer, frames, variant, overwrite, quiet
+) -> None:
     prepare(variant)
     from ..jobs.job import evaluate_job, figure_rows
     from ..judging.evaluate import Judging
@@ -56,9 +65,11 @@ def _judge(reference, candidates, out, views, resolution, spp, seed, frames, var
     with display(quiet) as progress:
         figures = evaluate_job(
             reference, candidates, out, progress,
-            judging=Judging(views, resolution, spp, seed), animation=animation(frames), variant=variant,
+            judging=Judging(views, resolution, spp, seed, renderer), animation=animation(frames), variant=variant,
             overwrite=overwrite,
         )  # fmt: skip
+    if not quiet and "renderer" in figures["settings"]:
+        print(f"judged by {figures['settings']['renderer']}")
     print("\n".join(figure_rows(figures)))
 
 

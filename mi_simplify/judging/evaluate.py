@@ -1,5 +1,5 @@
 """
-The project's own judge: path traces reference and candidates from views that no fit has seen.
+The project's own judge: renders reference and candidates from views that no fit has seen.
 """
 
 from __future__ import annotations
@@ -15,26 +15,20 @@ import numpy as np
 from .. import __version__
 from ..config import Config
 from ..config.schema import EvaluationSettings
-from ..errors import AssetError
+from ..errors import AssetError, UserError
 from ..machine.files import make_folder
 from ..model.asset import Asset
 from ..model.frame import Frame
 from ..progress import Progress, ProgressCallback, silent
 from .comparison import Comparison, save_comparison
 from .metrics import COVERED, compare
+from .renderers import SKY, opened
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
     from ..scenes.references.reference import Reference
     from ..scenes.views import Views
 
 log = logging.getLogger("mi_simplify")
-
-SKY = 0.1
-"""Radiance of the constant sky beside the point light."""
-
-MAX_DEPTH = 6
-"""Longest light path [edges]."""
-
 
 #: What the configuration has where nothing is said.
 _DEFAULTS = EvaluationSettings()
@@ -51,12 +45,15 @@ class Judging:
         How many square images of how many pixels and samples per pixel.
     seed : int
         Of views and noise, which depend on nothing else; only figures of one seed compare.
+    renderer : str
+        One of :data:`.renderers.RENDERERS`; only figures of one renderer compare.
     """
 
     n_views: int = _DEFAULTS.views
     resolution: int = _DEFAULTS.resolution
     spp: int = _DEFAULTS.spp
     seed: int = 0
+    renderer: str = "mitsuba"
 
     @staticmethod
     def of(config: Config) -> Judging:
@@ -66,6 +63,16 @@ class Judging:
         judged = config.evaluation
         return Judging(judged.views, judged.resolution, judged.spp, config.seed)
 
+    def require_mitsuba(self) -> None:
+        """
+        Raise :class:`UserError` where another renderer is asked for something that only Mitsuba can show.
+        """
+        if self.renderer != "mitsuba":
+            raise UserError(
+                f"--renderer {self.renderer} shows model files in light that their fit has not seen; "
+                "this reference is judged in a light of its own: leave the option out"
+            )
+
 
 def compare_assets(
     reference: Asset,
@@ -74,7 +81,7 @@ def compare_assets(
     progress: ProgressCallback | None = None,
 ) -> Comparison:
     """
-    Path trace all of them from the same held-out views under the same lights, and measure.
+    Render all of them from the same held-out views under the same lights, and measure.
 
     A point light stands 5 to 75 degrees off the camera, beyond 30 degrees in every other view, under
     a dim constant sky. Candidates stand in the reference's frame.
@@ -94,18 +101,20 @@ def compare_assets(
     Raises
     ------
     AssetError
-        The reference is not to be seen in any of the views.
+        The reference is not to be seen in any of the views; or the renderer cannot show what an asset is made of.
+    RuntimeUnavailable
+        The renderer is not installed.
     """
     from ..scenes.views import held_out_views  # Mitsuba needs its variant by now, not on import
 
     frame = Frame.around(reference.bounds)  # any units, and coordinates far from the origin, fit into float32 there
-    reference = frame.normalised(reference)
-    candidates = {name: frame.normalised(asset) for name, asset in candidates.items()}
-    views = held_out_views(reference.bounds, judging.n_views, judging.resolution, judging.seed)
-    target = Rendering(reference, PathTraced(reference, half(judging.spp)))
-    others = {name: Rendering(asset, PathTraced(asset, half(judging.spp))) for name, asset in candidates.items()}
-    settings = {"spp": judging.spp, "seed": judging.seed, "max_depth": MAX_DEPTH, "sky": SKY}
-    return compare_renderings(target, others, views, settings, progress)
+    bounds = frame.normalised(reference).bounds
+    views = held_out_views(bounds, judging.n_views, judging.resolution, judging.seed)
+    with opened(judging.renderer, half(judging.spp)) as (make, facts):
+        target = Rendering(reference, make(reference, frame.matrix))
+        others = {name: Rendering(asset, make(asset, frame.matrix)) for name, asset in candidates.items()}
+        settings = {**facts, "spp": judging.spp, "seed": judging.seed, "sky": SKY}
+        return compare_renderings(target, others, views, settings, progress)
 
 
 def half(spp: int) -> int:
@@ -211,30 +220,6 @@ def _costs(asset: Asset) -> dict:
     }
 
 
-class PathTraced:
-    """
-    An asset under the point light of each view and a dim constant sky, as a
-    :class:`..scenes.references.reference.Reference`.
-
-    Parameters
-    ----------
-    asset : Asset
-    spp : int
-        Samples per pixel.
-    """
-
-    def __init__(self, asset: Asset, spp: int):
-        from ..scenes.references.path_traced import make_reference
-
-        self._reference = make_reference(asset, transport="baked", spp=spp, max_depth=MAX_DEPTH, sky=SKY)
-
-    def render(self, views: Views, seed: int = 0) -> np.ndarray:
-        """
-        Images of the views, shape (B, H, W, 4).
-        """
-        return self._reference.render(views, seed=seed)
-
-
 def evaluate(
     reference: Asset,
     candidates: Mapping[str, Asset],
@@ -243,6 +228,7 @@ def evaluate(
     resolution: int = 256,
     spp: int = 64,
     seed: int = 0,
+    renderer: str = "mitsuba",
     out: str | Path | None = None,
     progress: ProgressCallback | None = None,
 ) -> dict:
@@ -251,7 +237,7 @@ def evaluate(
 
     Parameters
     ----------
-    n_views, resolution, spp, seed : int
+    n_views, resolution, spp, seed, renderer
         As :class:`Judging` has them.
     out : str or Path, optional
         Folder for the files of :func:`save_comparison`; nothing is written without it.
@@ -263,7 +249,7 @@ def evaluate(
     """
     if out is not None:
         out = make_folder(out)  # a folder that cannot be written is found out before minutes of rendering
-    comparison = compare_assets(reference, candidates, Judging(n_views, resolution, spp, seed), progress)
+    comparison = compare_assets(reference, candidates, Judging(n_views, resolution, spp, seed, renderer), progress)
     if out is not None:
         save_comparison(comparison, out)
     return comparison.figures

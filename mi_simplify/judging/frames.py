@@ -13,7 +13,8 @@ import numpy as np
 from ..model.asset import Asset, rig_of
 from ..progress import ProgressCallback
 from .comparison import Comparison
-from .evaluate import MAX_DEPTH, SKY, Judging, PathTraced, Rendering, compare_renderings, half
+from .evaluate import Judging, Rendering, compare_renderings, half
+from .renderers import SKY, opened
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
     from ..scenes.references.reference import Reference
@@ -50,16 +51,17 @@ def compare_characters(
     shown = np.resize(frames, judging.n_views)
     views = _views(reference, shown, judging.resolution, judging.seed)
     rig = rig_of(reference)
-    others = {}
-    for name, asset in candidates.items():
-        renderer: Reference = PathTraced(asset, half(judging.spp))
-        if asset.rig is not None:
-            renderer = _Retimed(renderer, {f: asset.rig.frame_at(rig.times[int(f)]) for f in frames})
-        others[name] = Rendering(asset, renderer)
     codes = [float(rig.codes[int(f)]) for f in shown]
-    settings = {"spp": judging.spp, "seed": judging.seed, "max_depth": MAX_DEPTH, "sky": SKY, "frames": codes}
-    target = Rendering(reference, PathTraced(reference, half(judging.spp)))
-    comparison = compare_renderings(target, others, views, settings, progress)
+    with opened(judging.renderer, half(judging.spp)) as (make, facts):
+        others = {}
+        for name, asset in candidates.items():
+            renderer = make(asset, np.eye(4))
+            if asset.rig is not None:
+                renderer = _Retimed(renderer, {f: asset.rig.frame_at(rig.times[int(f)]) for f in frames})
+            others[name] = Rendering(asset, renderer)
+        settings = {**facts, "spp": judging.spp, "seed": judging.seed, "sky": SKY, "frames": codes}
+        target = Rendering(reference, make(reference, np.eye(4)))
+        comparison = compare_renderings(target, others, views, settings, progress)
     rows = comparison.figures["candidates"]
     rows = {name: row | _per_frame(row["per_view"], shown, frames) for name, row in rows.items()}
     return replace(comparison, figures={**comparison.figures, "candidates": rows})

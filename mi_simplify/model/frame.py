@@ -35,13 +35,18 @@ class Frame:
         """
         return Frame(2.0 / float((bounds[1] - bounds[0]).max()), bounds.mean(0))
 
+    @property
+    def matrix(self) -> np.ndarray:
+        """From the units of the file to this frame, shape (4, 4)."""
+        to_frame = np.diag([self.scale, self.scale, self.scale, 1.0])
+        to_frame[:3, 3] = -self.scale * self.center
+        return to_frame
+
     def normalised(self, asset: Asset) -> Asset:
         """
         The asset in this frame.
         """
-        to_frame = np.diag([self.scale, self.scale, self.scale, 1.0])
-        to_frame[:3, 3] = -self.scale * self.center
-        return asset.transformed(to_frame)
+        return asset.transformed(self.matrix)
 
     def restored(self, model: Model) -> Model:
         """

@@ -160,7 +160,7 @@ def _shown(figures: Mapping) -> dict:
     frames = ", ".join(f"{code:g}" for code in settings.get("frames", ())[:MOST_VIEWS])
     return {
         "sky": "sky" in settings, "spp": settings["spp"], "gain": f"{DIFFERENCE_GAIN:g}", "red": red, "blue": blue,
-        "frames": frames,
+        "frames": frames, "renderer": settings.get("renderer", ""),
     }  # fmt: skip
 
 

@@ -97,6 +97,7 @@ class ImageSubject(Subject):
         """
         Candidates in the light of the images, beside images that were not fitted.
         """
+        judging.require_mitsuba()
         reference = ImageReference(self.captured, 1.0, np.zeros(3), self._fitted, self._held_out)
         views = reference.held_out(judging.n_views, judging.resolution)
         settings = {"spp": judging.spp, "seed": judging.seed, "light": self.light, "held_out": len(self._held_out)}

@@ -214,6 +214,7 @@ class Subject(ABC):
         self, candidates: Mapping[str, Asset], judging: Judging, progress: ProgressCallback | None
     ) -> Comparison:
         """Beside images of its own renderer, in the light that was fitted."""
+        judging.require_mitsuba()
         views = held_out_views(self.geometry.bounds, judging.n_views, judging.resolution, judging.seed)
         settings = {"spp": judging.spp, "seed": judging.seed}
         return self.compared(
