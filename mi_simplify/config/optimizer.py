@@ -21,6 +21,7 @@ class RatesSettings(Section):
     vertex_sets: float = Field(0.001, ge=0, description="Further vertex sets: the typical step.")
     displacement: float = Field(0.0005, ge=0, description="Displacement map: the typical step.")
     skinning: float = Field(0.03, ge=0, description="Logarithms of skinning weights.")
+    weights: float = Field(0.01, ge=0, description="Weights of morph targets.")
     base_color: float = Field(0.001, ge=0, description="Base colour and opacity.")
     specular: float = Field(0.001, ge=0, description="Gamma, roughness and metallic.")
     normal: float = Field(0.001, ge=0, description="Normal map.")

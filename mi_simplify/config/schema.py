@@ -29,6 +29,7 @@ Quantity = Literal[
     "displacement",
     "vertex_sets",
     "skinning",
+    "weights",
     "base_color",
     "opacity",
     "gamma",

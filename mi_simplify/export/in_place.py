@@ -14,6 +14,7 @@ from ..errors import AssetError
 from ..formats.gltf.stage.edit import GltfEdit
 from ..formats.textures import encode_normal, to_8bit
 from ..latent.file_model import FileModel
+from ..latent.morphing import MorphedModel
 from ..machine.files import write_atomic
 from ..model.asset import Material, Part
 from ..model.color import linear_to_srgb
@@ -90,7 +91,12 @@ def write_in_place(
     edit = GltfEdit(source)
     names = set(names)
     if "vertices" in names:
-        _write_geometry(edit, origin, fitted)
+        at_rest = fitted
+        if isinstance(fitted, MorphedModel) and origin.model.morphs is not None:
+            at_rest = fitted.moved_to(np.asarray(origin.model.morphs.weights))
+        _write_geometry(edit, origin, at_rest)
+    if "weights" in names and fitted.morphs is not None:
+        _write_weights(edit, origin, fitted.morphs.weights)
     for part, images in origin.images(fitted):
         if names & {*_COLOR, *_SPECULAR, "normal"}:
             _write_textures(edit, edit.material(*part.place[:2]), part.material, images, names)
@@ -116,6 +122,22 @@ def _write_geometry(edit: GltfEdit, origin: FileModel, fitted: Model) -> None:
         turned = np.tile([0.0, 0.0, 1.0], (len(moved), 1)) if given is None else given.astype(np.float64)
         turned[used] = normals
         edit.set_values(mesh, index, "NORMAL", turned)
+
+
+def _write_weights(edit: GltfEdit, origin: FileModel, weights: tuple[float, ...]) -> None:
+    """Default weights of the meshes; nodes that have their own get these."""
+    for mesh in dict.fromkeys(mesh for mesh, _ in origin.targets):
+        entry = edit.json["meshes"][mesh]
+        targets = entry["primitives"][0]["targets"]
+        moving = [k for k, target in enumerate(targets) if "POSITION" in target]
+        nodes = [node for node in edit.json["nodes"] if node.get("mesh") == mesh]
+        old = next((node["weights"] for node in nodes if "weights" in node), entry.get("weights", []))
+        entry["weights"] = [*old, *[0.0] * (len(targets) - len(old))]
+        for (owner, j), weight in zip(origin.targets, weights, strict=True):
+            if owner == mesh:
+                entry["weights"][moving[j]] = float(weight)
+        for node in nodes:
+            node.pop("weights", None)
 
 
 def _write_textures(

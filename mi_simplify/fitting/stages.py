@@ -27,7 +27,7 @@ BACKWARD = {
 #: Bytes of a kept hit, with what its texels need to find it again, and of all of them at most.
 _PER_HIT, _MOST_KEPT = 150, 4 << 30
 
-_OF_VERTICES = ("vertices", "displacement", "vertex_sets", "skinning")
+_OF_VERTICES = ("vertices", "displacement", "vertex_sets", "skinning", "weights")
 
 
 def changing(settings: FitSettings, *, ambient: bool = False, is_opaque: bool = True) -> set[str]:

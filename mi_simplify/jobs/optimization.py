@@ -38,6 +38,7 @@ PARAMETERS: dict[str, tuple[str, str]] = {
     "metallic": ("metallic", "metallic"),
     "normal": ("normal", "normal"),
     "environment": ("ambient", "ambient"),
+    "weights": ("weights", "weights"),
 }
 
 #: Where the defaults differ from those of a simplification: nothing is a first guess here, so steps are larger.
@@ -181,6 +182,8 @@ class Optimization:
             origin = file_model(self.frame.normalised(self.asset), quantities, self._texture_size)
             if "opacity" in quantities and origin.model.alpha_mode == "OPAQUE":
                 raise ConfigError(f"'opacity': no material of {self.asset.name} is transparent; leave it out")
+            if "weights" in quantities and origin.model.morphs is None:
+                raise ConfigError(f"'weights': no mesh of {self.asset.name} has morph targets; leave it out")
             self.notes += origin.notes
             self._origin = origin
             for note in dict.fromkeys(self.notes):

@@ -13,8 +13,9 @@ from ..errors import AssetError
 from ..formats.images import constant, join_channels
 from ..model.asset import PLAIN, Asset, Material, Part
 from ..model.mesh import Mesh
-from ..model.model import Model
+from ..model.model import Model, Morphs
 from ..model.topology import weld
+from .morphing import MorphedModel
 from .placing import PlacedModel, Placements
 
 #: Normals of one place that are this alike are one [cosine].
@@ -39,6 +40,9 @@ class FileModel:
         From the frame of each part into that of the model.
     cell_of : tuple of int
         Which cell of the textures each part reads.
+    targets : tuple of (int, int)
+        Of every morph target of the model, the mesh of the file and which of those of its targets that move positions
+        it is.
     notes : tuple of str
     """
 
@@ -47,6 +51,7 @@ class FileModel:
     first: np.ndarray
     to_model: tuple[np.ndarray, ...]
     cell_of: tuple[int, ...]
+    targets: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
 
     def geometry(self, fitted: Model) -> list[tuple[Part, np.ndarray, np.ndarray]]:
@@ -116,16 +121,18 @@ def file_model(asset: Asset, fitted: Collection[str], texture_size: int = 512) -
     ]
     images = [_images(material, fitted, texture_size, uvs) for material, uvs in zip(materials, has_uvs, strict=True)]
     cells, sheets = _sheet(images)
-    moving = "vertices" in fitted
-    mesh, first = _mesh(parts, [first_place[n] for n in numbers], cell_of, len(materials) > 1, moving)
+    moving = not {"vertices", "weights"}.isdisjoint(fitted)
+    matrices = [first_place[n] for n in numbers]
+    mesh, first = _mesh(parts, matrices, cell_of, len(materials) > 1, moving, "weights" in fitted)
+    morphs, targets = _morphs(parts, matrices, mesh, first) if "weights" in fitted else (None, ())
     mode, cutoff = _alpha(materials, sheets, cells)
-    model = PlacedModel(
+    model = (PlacedModel if morphs is None else MorphedModel)(
         mesh=mesh, base_color=sheets[..., :4], specular=sheets[..., 4:7], normal=sheets[..., 7:],
         alpha_mode=mode, alpha_cutoff=cutoff, name=asset.name, cells=cells if len(materials) > 1 else None,
         ambient=asset.ambient, placements=_placements(parts, numbers, placed, first_place),
+        morphs=morphs,
     )  # fmt: skip
-    to_model = tuple(first_place[number] for number in numbers)
-    return FileModel(model, parts, first, to_model, tuple(cell_of), notes)
+    return FileModel(model, parts, first, tuple(matrices), tuple(cell_of), targets, notes)
 
 
 def _materials(parts: tuple[Part, ...]) -> tuple[list[Material], list[int]]:
@@ -222,7 +229,12 @@ def _alpha(materials: list[Material], sheet: np.ndarray, cells: np.ndarray) -> t
 
 
 def _mesh(
-    parts: tuple[Part, ...], to_model: list[np.ndarray], cell_of: list[int], in_cells: bool, moving: bool
+    parts: tuple[Part, ...],
+    to_model: list[np.ndarray],
+    cell_of: list[int],
+    in_cells: bool,
+    moving: bool,
+    morphing: bool,
 ) -> tuple[Mesh, np.ndarray]:
     """Every part once, at its first place; and the first vertex of each."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts)])
@@ -235,7 +247,9 @@ def _mesh(
     n_positions = n_groups = 0
     for members in meshes.values():
         own = np.concatenate([np.arange(first[k], first[k + 1]) for k in members])
-        welded, index = weld(np.concatenate([parts[k].vertices for k in members]))
+        keys = np.concatenate([_welding_keys(parts[k]) if morphing else parts[k].vertices for k in members])
+        welded, index = weld(keys)
+        welded = welded[:, :3]
         matrix = to_model[members[0]]
         positions.append(welded @ matrix[:3, :3].T + matrix[:3, 3])
         position_index[own] = index + n_positions
@@ -266,6 +280,35 @@ def _mesh(
         total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
         mesh = replace(mesh, own_normals=total)
     return mesh, first
+
+
+def _welding_keys(part: Part) -> np.ndarray:
+    """
+    Places of vertices, shape (V, 3 + 3), with a number for how morph targets move them: closed lips are not one.
+    """
+    rng, moved = np.random.default_rng(0), np.zeros_like(part.vertices, np.float64)
+    for morph in part.morphs:
+        moved += rng.normal() * morph.offsets
+    return np.concatenate([part.vertices, moved], axis=1)
+
+
+def _morphs(
+    parts: tuple[Part, ...], to_model: list[np.ndarray], mesh: Mesh, first: np.ndarray
+) -> tuple[Morphs | None, tuple[tuple[int, int], ...]]:
+    """The targets of all meshes one behind the other, and which of which mesh each is."""
+    owners = [(part.place[0], j) for part in parts for j in range(len(part.morphs))]
+    targets = tuple(dict.fromkeys(owners))
+    if not targets:
+        return None, ()
+    offsets = np.zeros((len(targets), len(mesh.positions), 3))
+    names, weights = [""] * len(targets), [0.0] * len(targets)
+    for k, (part, matrix) in enumerate(zip(parts, to_model, strict=True)):
+        place = mesh.position_index[first[k] : first[k + 1]]
+        for j, morph in enumerate(part.morphs):
+            t = targets.index((part.place[0], j))
+            offsets[t, place] = morph.offsets @ matrix[:3, :3].T
+            names[t], weights[t] = morph.name, morph.weight
+    return Morphs(tuple(names), tuple(weights), offsets), targets
 
 
 def _normal_groups(index: np.ndarray, normals: np.ndarray, exact: bool) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from ..errors import MeshError
 from ..model.model import Model
 from .displacement import Displaced
+from .morphing import Morphing as Morphing
 from .operation import MeshOperation, register_operation
 from .placing import Placed as Placed
 from .skinning import Skinning

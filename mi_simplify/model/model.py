@@ -201,7 +201,7 @@ class Model:
             the fitted model's, which left it alone where it was not to be fitted.
         """
         mesh = fitted.mesh
-        if "vertices" not in quantities:
+        if not {"vertices", "weights"} & set(quantities):
             mesh = replace(mesh, positions=self.mesh.positions)
 
         taken = {name: np.array([owner in quantities for owner in owners]) for name, owners in _OWNERS.items()}
