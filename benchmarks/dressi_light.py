@@ -18,12 +18,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import mi_simplify as ms  # before the others, for its LLVM
+
+# isort: split
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from PIL import Image
 
-import mi_simplify as ms
 from mi_simplify.formats.gltf.write import write_glb
 from mi_simplify.integrators.camera import Cameras
 from mi_simplify.latent.file_model import file_model

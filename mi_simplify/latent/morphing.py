@@ -13,7 +13,7 @@ import numpy as np
 from ..machine.upload import upload
 from ..model.model import Model, Morphs
 from ..scenes.views import Views
-from .operation import Identity, register_operation
+from .operation import Identity, MeshOperation, register_operation
 from .placing import Placed, PlacedModel
 from .surface import MeshTopology, Surface
 
@@ -50,12 +50,14 @@ class Morphing:
 
     def __init__(self, model: MorphedModel):
         assert model.morphs is not None
-        self._inner = Identity(model) if model.placements is None else Placed(model)
+        self._inner: MeshOperation = Identity(model) if model.placements is None else Placed(model)
         self.base, self.mesh = self._inner.base, self._inner.mesh
         offsets = model.morphs.offsets
-        self._start = upload(mi.Float, np.float32(model.morphs.weights))
-        self._offsets = mi.TensorXf(upload(mi.Float, np.float32(offsets).ravel()), (len(offsets), offsets[0].size))
-        self.parameters = {"weights": np.float32(model.morphs.weights)}
+        start = np.array(model.morphs.weights, np.float32)
+        self._start = upload(mi.Float, start)
+        flat = upload(mi.Float, np.ravel(offsets).astype(np.float32))
+        self._offsets = mi.TensorXf(flat, (len(offsets), offsets[0].size))
+        self.parameters = {"weights": start}
 
     def positions(self, base: mi.Float, parameters: dict[str, mi.Float], views: Views) -> mi.Float:
         """See :class:`.operation.MeshOperation`."""
@@ -75,7 +77,7 @@ class Morphing:
         return model.moved_to(parameters["weights"])
 
 
-def _make(model: Model) -> Morphing:
+def _make(model: Model) -> MeshOperation:
     assert isinstance(model, MorphedModel)
     return Morphing(model)
 
