@@ -36,6 +36,8 @@ ARGUMENTS = {
     "detail chain sphere.ply --budgets 300,100 --steps 2 --set": SHORT,
     "dressi_light --shapes torus --materials metal --roughness .3 --rows 8 --steps 2 --views 2 --side 16 --spp 2": [],
     "end_to_end --smallest sphere.ply": [],
+    "estimators --part figure --rounds 2 --samples 1 --dry --only": ["cube"],
+    "estimators --part table --rounds 2 --dry --only": ["principled"],
     "files sphere.ply:200 --size 128 --out out": [],
     "foliage --plant plant.glb --triangles 20 --views 1 --spp 1 -o out": [f"--set={setting}" for setting in SHORT],
     "glossy --asset sphere.ply --triangles 200 --picture glossy.jpg --views 4 --spp 1 --set": SHORT,

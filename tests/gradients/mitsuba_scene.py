@@ -71,6 +71,7 @@ class MitsubaScene:
     """
 
     def __init__(self, bsdf, *, sensor=None, light=None, emitter=None, others=None, smooth=True, **integrator):
+        self.options = integrator
         mesh = meshes.sphere(16, 11, radius=0.8)
         self._index = mesh.position_index
         normals = mesh.normals()[mesh.normal_groups] if smooth else None
