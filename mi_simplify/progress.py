@@ -5,8 +5,8 @@ How far a job is: the one callback through which every stage reports, and times 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 from .errors import ConfigError
 
@@ -28,6 +28,8 @@ class Progress:
         PSNR on a held-out view [dB], as of the last time it was measured.
     message : str
         One line for the log, empty where the numbers say it all.
+    figures : mapping of str to float
+        What else was measured with the PSNR.
     """
 
     stage: str
@@ -36,6 +38,7 @@ class Progress:
     loss: float | None = None
     psnr: float | None = None
     message: str = ""
+    figures: Mapping[str, float] = field(default_factory=dict)
 
 
 ProgressCallback = Callable[[Progress], None]

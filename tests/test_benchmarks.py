@@ -13,6 +13,7 @@ from support.tiny_models import Glb
 from support.toy import bumpy_sphere
 
 import mi_simplify as ms
+from mi_simplify.formats.gltf.write import write_glb
 from mi_simplify.formats.obj.write import write_obj
 from mi_simplify.judging import switching
 
@@ -34,6 +35,13 @@ ARGUMENTS = {
     "detail displacement sphere.ply --steps 2 --views 3 --resolution 32 --set": [*SHORT, "initial.triangles=60"],
     "detail tessellations sphere.ply --steps 1 --views 3 --resolution 32 --set": [*SHORT, "initial.triangles=60"],
     "detail chain sphere.ply --budgets 300,100 --steps 2 --set": SHORT,
+    "dressi main sphere.glb --images 1 2 --steps 2 --side 32 --texels 32 --spp 1": [],
+    "dressi bias --radii .1 --spp 2 --seeds 1": [],
+    "dressi reach sphere.ply --triangles 60 --views 2 --side 32 --steps 2 --starts 1 --shifts .1 --rotations 20": [],
+    "dressi sphere sphere.ply --triangles 60 --set": SHORT,
+    "dressi speed sphere.ply --triangles 60 --texels 64 --views 4 --side 16 --spp 1 --rounds 1": [],
+    "dressi reactive sphere.glb --texels 32 --views 2 --side 32 --rounds 1": [],
+    "dressi normals sphere.glb --relief --texels 32 --views 2 --side 32 --steps 2": [],
     "dressi_light --shapes torus --materials metal --roughness .3 --rows 8 --steps 2 --views 2 --side 16 --spp 2": [],
     "end_to_end --smallest sphere.ply": [],
     "estimators --part figure --rounds 2 --samples 1 --dry --only": ["cube"],
@@ -90,6 +98,8 @@ def test_a_benchmark_runs(line, tmp_path, monkeypatch, capsys):
     if name == "detail":
         arguments[:0] = ["--out", "out"]
         monkeypatch.setattr(switching, "SIZES", (64, 32))
+    if name == "dressi":
+        write_glb(ms.first_guess(ms.open_asset("sphere.ply"), triangles=60, atlas_size=32)[0], tmp_path / "sphere.glb")
     if name == "foliage":
         glb = Glb()
         glb.mesh(glb.quad(glb.material()))

@@ -19,6 +19,9 @@ from .fit import Fit
 
 log = logging.getLogger("mi_simplify")
 
+#: Figures of a model so far.
+Measure = Callable[[Model], dict[str, float]]
+
 
 @dataclass
 class FitResult:
@@ -45,6 +48,8 @@ class Run:
         Of the run to go on with, from :meth:`state`; model, reference and configuration are the same as there.
     spent : float
         Seconds of ``optimizer.time`` that passed before.
+    measure : callable, optional
+        ``measure(model) -> figures`` of the model so far, whenever it is judged.
     """
 
     def __init__(
@@ -54,7 +59,9 @@ class Run:
         settings: FitSettings,
         state: dict | None = None,
         spent: float = 0.0,
+        measure: Measure | None = None,
     ):
+        self.measure = measure
         self.done, self._earlier, self._start = 0, 0.0, time.perf_counter()
         self.fit, self.first_guess = Fit(model, reference, settings), model
         self.every = settings.evaluation.every
@@ -110,7 +117,10 @@ class Run:
         self._judging = self.seconds - start
         if loss < self.least:
             self.least, self.best, self.best_step = loss, self.fit.parameters(), self.done
-        return {"held_out_loss": loss, "psnr": psnr, **({"unpeeled": self.fit.unpeeled} if self.fit.unpeeled else {})}
+        record = {"held_out_loss": loss, "psnr": psnr}
+        if self.fit.unpeeled:
+            record["unpeeled"] = self.fit.unpeeled
+        return record | (self.measure(self.fit.model()) if self.measure is not None else {})
 
     def step(self) -> dict | None:
         """
@@ -173,6 +183,7 @@ def fit(
     on_step: Callable[[Run], None] | None = None,
     state: dict | None = None,
     spent: float = 0.0,
+    measure: Measure | None = None,
 ) -> FitResult:
     """
     Optimise a first guess until it looks like the reference.
@@ -197,6 +208,8 @@ def fit(
         ``run.state()`` of an earlier call with the same model, reference and configuration, to go on with.
     spent : float
         Seconds of ``optimizer.time`` that passed before this call.
+    measure : callable, optional
+        ``measure(model) -> figures``, told to ``progress`` and kept in the log whenever the model is judged.
 
     Returns
     -------
@@ -204,11 +217,12 @@ def fit(
     """
     if settings.optimizer.steps == 0:
         return FitResult(model)
-    run = Run(model, reference, settings, state, spent)
+    run = Run(model, reference, settings, state, spent, measure)
     while not run.is_done:
         record = run.step()
         if record is not None:
-            progress(Progress("fit", run.done, run.n_steps, record["loss"], record.get("psnr")))
+            figures = {key: value for key, value in record.items() if key not in _TOLD}
+            progress(Progress("fit", run.done, run.n_steps, record["loss"], record.get("psnr"), figures=figures))
         if on_step is not None:
             on_step(run)
     if run.done == 0:
@@ -230,6 +244,9 @@ def fit(
 
 #: Share of what lies beyond the last layer from which it is worth a warning.
 _MUCH_UNPEELED = 0.01
+
+#: Parts of a record that are no figures of their own, or told as such.
+_TOLD = ("step", "loss", "seconds", "held_out_loss", "psnr", "unpeeled")
 
 #: What a state holds beside the fit's own.
 _KEPT = ("done", "records", "best", "best_step", "least", "setbacks", "retreated")

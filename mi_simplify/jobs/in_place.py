@@ -4,8 +4,7 @@ The job of the command ``fit``: a glTF file fitted in place, with its log, check
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,20 +16,25 @@ from ..config import dump
 from ..errors import ConfigError
 from ..export.environment import ENVIRONMENT, write_environment
 from ..fitting.fit import Fit
-from ..formats.textures import png
-from ..judging.metrics import psnr, silhouette_error
-from ..judging.pictures import displayed
+from ..fitting.samples import LOOK_SPP
+from ..formats.load import load_asset
+from ..judging.comparison import Comparison, save_comparison
+from ..judging.evaluate import costs
+from ..judging.metrics import compare
+from ..judging.normal_maps import FIGURE
 from ..machine.files import write_atomic
+from ..model.asset import Asset
 from ..model.model import Model
 from ..progress import Progress, ProgressCallback, silent
 from ..record.checkpoint import Checkpoint
 from ..record.interrupt import DeferredInterrupt
 from ..record.output import RunFolder
 from ..record.record import Record
+from ..report import report_folder
 from .optimization import Optimization
 
-#: The result of the job, and the picture of target, start and result in rows.
-RESULT, PICTURE = "model.glb", "comparison.png"
+#: The result of the job.
+RESULT = "model.glb"
 
 
 @dataclass(frozen=True)
@@ -50,10 +54,11 @@ class FittedInPlace:
         """A few lines for a person."""
         rows = [
             f"{name:6}  loss {row['loss']:.5f}  PSNR {row['psnr']:5.2f} dB  silhouette error "
-            f"{row['silhouette_error']:.4f}"
-            for name, row in self.figures["models"].items()
+            f"{row['silhouette_error']:.4f}" + (f"  {FIGURE} {row[FIGURE]:.5f}" if FIGURE in row else "")
+            for name, row in self.figures["candidates"].items()
         ]
-        return "\n".join([*rows, f"{self.folder / RESULT}: done in {self.figures['seconds']:.0f} s"])
+        seconds = self.figures["run"]["seconds"]["fit"]
+        return "\n".join([*rows, f"{self.folder / RESULT}: done in {seconds:.0f} s"])
 
 
 @dataclass(frozen=True)
@@ -80,7 +85,7 @@ def fit_job(
     resume: bool = False,
 ) -> FittedInPlace:
     """
-    Fit to the last step, and write ``model.glb``, ``metrics.json`` and a picture of target, start and result.
+    Fit to the last step, and write ``model.glb``, the figures and pictures of start and result, and their report.
 
     Parameters
     ----------
@@ -111,17 +116,21 @@ def fit_job(
         facts = {"generator": f"mi_simplify {__version__}"}
         # Models stay in the normalised frame: the file they go into has the way back.
         record = _Record(folder, checkpoint, interrupt, config, _Same(), facts, optimization)  # type: ignore[arg-type]
-        fitted = record.fit(model, optimization.target.reference, state, progress, 0.0)
+        fitted = record.fit(model, optimization.target.reference, state, progress, 0.0, optimization.measure)
         progress(Progress("export"))
-        record.export(fitted.model)
+        written = load_asset(record.export(fitted.model))
         progress(Progress("evaluate"))
-        figures, picture = _judged(optimization, model, fitted.model)
-        figures |= {"seconds": round(fitted.seconds, 1), "optimized": list(optimization.names), "log": fitted.log}
+        models = {"start": (model, optimization.asset), "result": (fitted.model, written)}
+        comparison = _judged(optimization, models)
+        comparison.figures["run"] = {
+            **facts, "seconds": {"fit": round(fitted.seconds, 1)}, "optimized": list(optimization.names),
+            "notes": list(dict.fromkeys(optimization.notes)),
+        }  # fmt: skip
         with folder.staged() as stage:
-            write_atomic(stage / "metrics.json", json.dumps(figures, indent=2) + "\n")
-            write_atomic(stage / PICTURE, png(picture))
+            save_comparison(comparison, stage)
+        report_folder(folder.path, {name: asset for name, (_, asset) in models.items()})
         folder.finished()
-    return FittedInPlace(folder.path, figures)
+    return FittedInPlace(folder.path, comparison.figures)
 
 
 class _Same:
@@ -131,21 +140,17 @@ class _Same:
         return model
 
 
-def _judged(optimization: Optimization, start: Model, result: Model) -> tuple[dict[str, Any], np.ndarray]:
-    """Figures of start and result beside the target, and up to four views of all three, shape (3 H, 4 W, 3)."""
-    settings, rows, shown = optimization.prepare()[1], dict[str, Any](), list[np.ndarray]()
-    for name, model in (("start", start), ("result", result)):
+def _judged(optimization: Optimization, models: Mapping[str, tuple[Model, Asset]]) -> Comparison:
+    """Models, and the files that they are in, beside the target: what the fit itself compares them by."""
+    settings, rows, images = optimization.prepare()[1], dict[str, dict](), dict[str, np.ndarray]()
+    for name, (model, asset) in models.items():
         fit = Fit(model, optimization.target.reference, settings)
-        held, images = fit.held_out, fit.look()
-        shown = shown or [held.images]
-        rows[name] = {
-            "loss": fit.judge()[0],
-            "psnr": round(float(psnr(held.images, images).mean()), 3),
-            "silhouette_error": round(silhouette_error(held.images[..., 3], images[..., 3]), 5),
-        }
-        shown.append(images)
-    picture = np.concatenate([np.concatenate([displayed(image) for image in x[:4]], axis=1) for x in shown])
-    return {"models": rows, "views": len(held.views)}, picture
+        target, images[name] = fit.held_out.images, fit.look()
+        normals = {} if optimization.measure is None else optimization.measure(model)
+        rows[name] = costs(asset) | {"loss": fit.judge()[0]} | compare(target, images[name]) | normals
+    seen = {"n_views": len(target), "resolution": target.shape[2], "spp": LOOK_SPP, "seed": settings.seed}
+    reference = {"name": optimization.asset.name, "triangles": optimization.asset.n_triangles}
+    return Comparison(target, images, {"settings": seen, "reference": reference, "candidates": rows})
 
 
 def named(options: Sequence[str]) -> dict[str, float | None]:

@@ -5,7 +5,7 @@ Any glTF file, fitted in place to any images: parameters by name, a step at a ti
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from ..export.environment import write_environment
 from ..export.in_place import check_in_place, write_in_place
 from ..fitting import Run
 from ..formats.load import load_asset
+from ..judging.normal_maps import FIGURE, TrueNormals
 from ..latent.file_model import FileModel, file_model
 from ..machine.runtime import ensure_variant
 from ..model.frame import Frame
@@ -129,6 +130,7 @@ class Optimization:
         self._texture_size, self._rates = texture_size, dict[str, float | None]()
         self._run: Run | None = None
         self._origin: FileModel | None = None
+        self._truth: TrueNormals | None = None
         self.notes = [*_unused(self.asset.notes), *self.target.notes]
 
     def requires_grad(self, *names: str, **rates: float | None) -> None:
@@ -186,6 +188,7 @@ class Optimization:
                 raise ConfigError(f"'weights': no mesh of {self.asset.name} has morph targets; leave it out")
             self.notes += origin.notes
             self._origin = origin
+            self._truth = None if self.target.asset is None else TrueNormals.of(self.target.asset, self.asset)
             for note in dict.fromkeys(self.notes):
                 log.warning("%s: %s", self.asset.name, note)
         ambient = self.target.ambient
@@ -203,7 +206,7 @@ class Optimization:
         -------
         dict or None
             Of every tenth step, and those after which the state is judged, ``step`` and ``loss``; of the latter also
-            ``psnr`` [dB].
+            ``psnr`` [dB], and ``normal_dissimilarity`` where there is any.
         """
         return self.run.step()
 
@@ -212,8 +215,19 @@ class Optimization:
         """The fit under way; begun at its first use."""
         if self._run is None:
             model, settings = self.prepare()
-            self._run = Run(model, self.target.reference, settings)
+            self._run = Run(model, self.target.reference, settings, measure=self.measure)
         return self._run
+
+    @property
+    def measure(self) -> Callable[[Model], dict[str, float]] | None:
+        """
+        ``normal_dissimilarity`` of a model of this fit, where the target is a model with a normal map in the same
+        texture coordinates; None where it is not, or before :meth:`prepare`.
+        """
+        truth, origin = self._truth, self._origin
+        if truth is None or origin is None:
+            return None
+        return lambda model: {FIGURE: truth.dissimilarity(origin.normals(model))}
 
     def model(self) -> Model:
         """

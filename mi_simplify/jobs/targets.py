@@ -48,6 +48,8 @@ class Target:
     ambient : ndarray, shape (K, 3), or None
         Light besides the point lights with which the fit begins.
     notes : tuple of str
+    asset : Asset, optional
+        What is rendered, where that is a model, as it was read.
     """
 
     reference: Reference
@@ -55,6 +57,7 @@ class Target:
     side: int | None = None
     ambient: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    asset: Asset | None = None
 
 
 def open_target(
@@ -97,11 +100,11 @@ def open_target(
         function = code_named(target, "target")
     reference: Reference
     if function is not None:
-        reference = FramedReference(CallableReference(function), frame.scale, frame.center)
+        reference, shown = FramedReference(CallableReference(function), frame.scale, frame.center), None
     else:
         shown = target if isinstance(target, Asset) else load_asset(target, purpose="target")
         reference = reference_for(frame.normalised(shown), config)
-    return _rendered(reference, frame, config, light, asset.ambient, views, notes)
+    return replace(_rendered(reference, frame, config, light, asset.ambient, views, notes), asset=shown)
 
 
 def _one_image(path: Path, asset: Asset, cameras: list[Camera], which: int | str) -> Captured:

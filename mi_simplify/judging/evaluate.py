@@ -22,6 +22,7 @@ from ..model.frame import Frame
 from ..progress import Progress, ProgressCallback, silent
 from .comparison import Comparison, save_comparison
 from .metrics import COVERED, compare
+from .normal_maps import normal_figure
 from .renderers import SKY, opened
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
@@ -185,11 +186,14 @@ def compare_renderings(
             f"{reference.asset.source or reference.asset.name}: no held-out view shows anything of it; "
             "check its scale, and that it is not fully transparent"
         )
-    rows = {name: {**_costs(candidates[name].asset), **compare(halves[""], halves[name])} for name in candidates}
+    rows = {
+        name: costs(other.asset) | compare(halves[""], halves[name]) | normal_figure(reference.asset, other.asset)
+        for name, other in candidates.items()
+    }
     figures = {
         "generator": f"mi_simplify {__version__}",
         "settings": {"n_views": n_views, "resolution": views.width, **settings},
-        "reference": {"name": reference.asset.name, **_costs(reference.asset)},
+        "reference": {"name": reference.asset.name, **costs(reference.asset)},
         "candidates": rows,
     }
     return Comparison(target, images, figures)
@@ -203,7 +207,7 @@ def _finite(images: np.ndarray, name: str) -> None:
         images[broken] = 0.0
 
 
-def _costs(asset: Asset) -> dict:
+def costs(asset: Asset) -> dict:
     """What a model is made of; of its file, where there is one, the size without those that it names."""
     used = {instance.part: asset.parts[instance.part] for instance in asset.instances}.values()
     materials = list({id(part.material): part.material for part in used}.values())

@@ -18,6 +18,9 @@ COVERED = 0.5
 FLIP_REACH = 24
 """Pixels that FLIP's filters reach at 67 pixels per degree, one after the other, with a little more."""
 
+FLAT = 1.0
+"""Angle up to which a normal in tangent space counts as flat [degrees]."""
+
 
 def tonemap(linear: np.ndarray) -> np.ndarray:
     """
@@ -137,6 +140,36 @@ def silhouette_error(reference_coverage: np.ndarray, candidate_coverage: np.ndar
     a, b = _pair(reference_coverage, candidate_coverage)
     a, b = a > COVERED, b > COVERED
     return float(np.count_nonzero(a != b) / max(1, int(np.count_nonzero(a))))
+
+
+def normal_dissimilarity(normals: np.ndarray, reference: np.ndarray, shown: np.ndarray | None = None) -> float:
+    """
+    How far a normal map is from another of the same coordinates, over the texels where that is not flat.
+
+    The mean of one minus the cosine between both (Takimoto et al. 2022, supplement, Eq. 1). Flat is what is within
+    :data:`FLAT` of the surface's own normal: 8 bits cannot store (0, 0, 1).
+
+    Parameters
+    ----------
+    normals, reference : ndarray, shape (H, W, 3)
+        Unit vectors in tangent space.
+    shown : ndarray, shape (H, W), bool, optional
+        Texels that any triangle shows; the others are not counted, as no image says anything of them.
+
+    Returns
+    -------
+    float
+        0 for equal maps, 2 at most; NaN where the reference is flat everywhere.
+    """
+    a, b = _pair(normals, reference)
+    counted = b[..., 2] < np.cos(np.radians(FLAT)) * np.linalg.norm(b, axis=2)
+    if shown is not None:
+        counted &= shown
+    if not counted.any():
+        return float("nan")
+    a, b = a[counted].astype(np.float64), b[counted].astype(np.float64)
+    length = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
+    return float(np.mean(1 - np.sum(a * b, axis=1) / np.maximum(length, 1e-20)))
 
 
 def compare(reference: np.ndarray, candidate: np.ndarray) -> dict[str, object]:

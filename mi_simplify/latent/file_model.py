@@ -68,6 +68,16 @@ class FileModel:
             out.append((part, vertices[rows] @ back[:3, :3].T + back[:3, 3], turned))
         return out
 
+    def normals(self, fitted: Model) -> list[np.ndarray]:
+        """
+        The normal map that every part reads, shape (H, W, 3).
+        """
+        whole = fitted.normal
+        if fitted.cells is None:
+            return [whole] * len(self.parts)
+        cells = [fitted.cells[cell] for cell in self.cell_of]
+        return [whole[top : top + h, left : left + w] for left, top, w, h in cells]
+
     def images(self, fitted: Model) -> list[tuple[Part, dict[str, np.ndarray]]]:
         """
         ``base_color`` (H, W, 4), ``specular`` (H, W, 3) and ``normal`` (H, W, 3) of every material, with a part of it.

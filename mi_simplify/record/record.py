@@ -15,6 +15,7 @@ from ..errors import OutputError
 from ..export import export_model
 from ..export.environment import ENVIRONMENT, write_environment
 from ..fitting import FitResult, Run, fit
+from ..fitting.loop import Measure
 from ..model.frame import Frame
 from ..model.light.environment_map import as_harmonics
 from ..model.model import Model
@@ -54,10 +55,17 @@ class Record:
     facts: dict[str, Any]
 
     def fit(
-        self, guess: Model, reference: Reference, state: dict | None, progress: ProgressCallback, spent: float
+        self,
+        guess: Model,
+        reference: Reference,
+        state: dict | None,
+        progress: ProgressCallback,
+        spent: float,
+        measure: Measure | None = None,
     ) -> FitResult:
         """
-        Fit, from a checkpoint's state where there is one, after ``spent`` seconds of the time that it may take.
+        Fit, from a checkpoint's state where there is one, after ``spent`` seconds of the time that it may take; what
+        ``measure`` says of the models on the way is in the log, too.
 
         Raises
         ------
@@ -75,7 +83,9 @@ class Record:
 
         def logged(event: Progress) -> None:
             seconds = round(time.perf_counter() - start, 3)
-            self.folder.log(stage=event.stage, step=event.step, loss=event.loss, psnr=event.psnr, seconds=seconds)
+            self.folder.log(
+                stage=event.stage, step=event.step, loss=event.loss, psnr=event.psnr, seconds=seconds, **event.figures
+            )
             if events is not None:
                 events.figures(event.step, loss=event.loss, psnr=event.psnr)
             progress(event)
@@ -87,7 +97,7 @@ class Record:
             self._keep(run)
 
         try:
-            return fit(guess, reference, self.config, logged, after_step, state, spent)
+            return fit(guess, reference, self.config, logged, after_step, state, spent, measure)
         finally:
             if events is not None:
                 events.close()

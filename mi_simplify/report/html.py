@@ -19,6 +19,7 @@ from markupsafe import Markup
 from .. import __version__
 from ..formats.textures import to_8bit
 from ..judging.comparison import Comparison
+from ..judging.normal_maps import FIGURE as NORMALS
 from ..judging.pictures import BLUE, DIFFERENCE_GAIN, RED
 from ..machine.files import write_atomic
 from ..model.asset import Asset
@@ -30,6 +31,7 @@ from .viewer import texture_sheets, viewer_data
 
 FIGURES = {"psnr": ("PSNR", "{:.2f}", "dB", +1), "flip": ("FLIP", "{:.4f}", "", -1)}
 FIGURES |= {"silhouette_error": ("silhouette error", "{:.4f}", "", -1)}
+FIGURES |= {NORMALS: ("normal map's dissimilarity", "{:.5f}", "", -1)}
 """Name, format, unit, and the sign of better."""
 
 
@@ -139,6 +141,8 @@ def _cards(figures: Mapping, log: Sequence[Mapping]) -> list[dict[str, str]]:
                 {"name": head, "value": shown(now), "unit": "", "verdict": verdict, "note": f"asset: {shown(before)}"}
             )
     for key, (name, pattern, unit, better) in FIGURES.items():
+        if key not in first or key not in last:
+            continue
         now, before, verdict, note = pattern.format(last[key]), pattern.format(first[key]), "", ""
         if len(candidates) > 1:
             verdict = "same" if now == before else "good" if better * (last[key] - first[key]) > 0 else "bad"
@@ -167,21 +171,23 @@ def _shown(figures: Mapping) -> dict:
 def _table(figures: Mapping) -> dict:
     """The reference and all candidates, one row each: what they cost, and how alike they are."""
     heads = ["", *(head for head, _ in COSTS.values())]
-    heads += [f"{name} [{unit}]" if unit else name for name, _, unit, _ in FIGURES.values()]
+    measured = {k: v for k, v in FIGURES.items() if any(k in row for row in figures["candidates"].values())}
+    heads += [f"{name} [{unit}]" if unit else name for name, _, unit, _ in measured.values()]
     rows = []
     for name, values in {"reference": figures["reference"], **figures["candidates"]}.items():
         cells = [form(values[key]) if values.get(key) is not None else "" for key, (_, form) in COSTS.items()]
-        cells += [p.format(values[k]) if k in values else "" for k, (_, p, _, _) in FIGURES.items()]
+        cells += [p.format(values[k]) if k in values else "" for k, (_, p, _, _) in measured.items()]
         rows.append((name, cells))
     return {"heads": heads, "rows": rows}
 
 
 def _curves(log: Sequence[Mapping]) -> list[dict[str, str]]:
-    """Loss and PSNR over steps."""
+    """Loss, PSNR and what else the log has over steps."""
     curves = []
     for key, heading, label, is_log in (
         ("loss", "Loss", "loss", True),
         ("psnr", "PSNR on held-out views", "PSNR [dB]", False),
+        (NORMALS, "Normal map", "dissimilarity", True),
     ):
         points = [(r["step"], r[key]) for r in log if r.get(key) is not None]
         if len(points) > 1:

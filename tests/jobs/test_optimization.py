@@ -143,9 +143,60 @@ def test_the_command_goes_from_a_displaced_start_to_its_target(tmp_path, capsys)
     options = ["--resolution", "32", "--batch", "4", *(x for key in QUICK for x in ("--set", key))]
     assert cli.main([*command, *options]) == 0
     figures = json.loads((out / "metrics.json").read_text())
-    assert figures["models"]["result"]["loss"] < 0.4 * figures["models"]["start"]["loss"]
-    assert (out / "model.glb").is_file() and (out / "comparison.png").is_file() and not (out / "checkpoint").exists()
+    candidates = figures["candidates"]
+    assert candidates["result"]["loss"] < 0.4 * candidates["start"]["loss"]
+    assert candidates["result"]["psnr"] > candidates["start"]["psnr"] and "normal_dissimilarity" not in figures
+    expected = {
+        "config.yaml",
+        "contact_sheet.png",
+        "log.jsonl",
+        "metrics.json",
+        "model.glb",
+        "report.html",
+        "views.npz",
+    }
+    assert {path.name for path in out.iterdir()} - {"preview.png"} == expected
+    assert 'id="report-data"' in (out / "report.html").read_text()
+    assert "PSNR" in capsys.readouterr().out
     assert without(out / "model.glb", "meshes") == without(start, "meshes")
+
+
+def bumpy(path, normal):
+    """A panel whose normal map has one texel in each quarter, and nothing else that varies."""
+    glb = Glb()
+    texture = glb.texture(np.uint8(np.round(127.5 + 127.5 * normal)))
+    material = glb.material(
+        name="relief", normalTexture={"index": texture}, pbrMetallicRoughness={"metallicFactor": 0.0}
+    )
+    glb.mesh(glb.quad(material), name="panel")
+    glb.nodes({"mesh": 0, "name": "panel"})
+    return glb.save(path)
+
+
+def test_a_normal_map_from_nothing_has_its_figure_and_curve(tmp_path, node_run):
+    normal = np.zeros((8, 8, 3))
+    normal[..., 2] = 1
+    normal[:4, :, 0], normal[4:, 4:, 1] = 0.5, -0.4
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    flat = np.zeros_like(normal) + [0, 0, 1]
+    truth, start = bumpy(tmp_path / "truth.glb", normal), bumpy(tmp_path / "start.glb", flat)
+    out = tmp_path / "out"
+    command = ["fit", start, "--to", truth, "--optimize", "normal=0.05", "-o", str(out), "--steps", "50"]
+    options = ["--resolution", "32", "--batch", "4", *(x for key in QUICK for x in ("--set", key))]
+    assert cli.main([*command, *options]) == 0
+    figures = json.loads((out / "metrics.json").read_text())["candidates"]
+    before, after = (figures[name]["normal_dissimilarity"] for name in ("start", "result"))
+    cosines = normal[np.abs(normal[..., :2]).sum(2) > 0][:, 2]
+    assert before == pytest.approx(1 - cosines.mean(), abs=2e-3)  # of 8 bits, without the flat quarter
+    assert after < 0.1 * before
+    log = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    curve = [row["normal_dissimilarity"] for row in log if "normal_dissimilarity" in row]
+    assert len(curve) == 2 and curve[-1] < curve[0] < before
+    assert 'data-curve="normal_dissimilarity"' in (out / "report.html").read_text()
+    script = "require('gltf-validator').validateBytes(new Uint8Array(require('fs').readFileSync(0)))"
+    script += ".then(r => console.log(JSON.stringify(r.issues)))"
+    issues = json.loads(node_run("gltf-validator", script, (out / "model.glb").read_bytes()))
+    assert issues["numErrors"] == 0
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,15 @@ import flip_evaluator
 import numpy as np
 import pytest
 
-from mi_simplify.judging.metrics import compare, flip, flip_maps, psnr, silhouette_error, tonemap
+from mi_simplify.judging.metrics import (
+    compare,
+    flip,
+    flip_maps,
+    normal_dissimilarity,
+    psnr,
+    silhouette_error,
+    tonemap,
+)
 
 
 @pytest.fixture
@@ -83,3 +91,20 @@ def test_noise_does_not_count_as_a_difference():
     np.testing.assert_allclose(found["per_view"]["psnr"], wanted, atol=0.5)
     assert compare(a, a)["psnr"] == 100.0
     assert compare(a, plain[None] + noise[1])["psnr"] > psnr(a.mean(0), plain).mean() + 8
+
+
+def test_normal_dissimilarity_counts_what_is_not_flat():
+    """Eq. 1 of Dressi's supplement: 1 - cos over the texels of the reference's relief, whatever lies elsewhere."""
+    reference = np.zeros((2, 3, 3))
+    reference[..., 2] = 1
+    reference[0, 0] = [0.6, 0, 0.8]
+    reference[1, 2] = [0, 1, 0]
+    reference[0, 1] = [0.0039, 0.0039, 1]  # what 8 bits make of flat
+    assert normal_dissimilarity(reference, reference) == 0
+    ours = reference.copy()
+    ours[0, 0], ours[1, 0] = [0, 0, 3.0], [1, 0, 0]
+    assert normal_dissimilarity(ours, reference) == pytest.approx(0.1)
+    shown = np.ones((2, 3), bool)
+    shown[1, 2] = False
+    assert normal_dissimilarity(ours, reference, shown) == pytest.approx(0.2)
+    assert np.isnan(normal_dissimilarity(ours, np.zeros((2, 3, 3)) + [0, 0, 1]))
