@@ -152,32 +152,34 @@ def valid(path: Path) -> str:
 
 
 def bias(args: argparse.Namespace) -> None:
-    """Derivatives of the soft image beside those of the hard one by direct_edge, along the parameters of a scene."""
+    """Derivatives by hard_soft beside those by direct_edge, along the parameters of a scene, over the RMS of these."""
     from gradients import scenes
-    from gradients.batched import Batched
     from gradients.finite_difference import along
     from gradients.plugin import Plugin
 
-    from mi_simplify.integrators.soft.hard_soft import HardSoftRenderer
-
     scene = scenes.scene(args.scene)
-    exact, soft = Plugin(scene), Batched(scene)
     adjoint = scenes.film_weights(scene, 1)
+    exact = Plugin(scene)
     ways = [p for p in scenes.parameters(scene, exact.start) if p.group == "geometry"]
-    found = [exact.gradient(adjoint, args.spp, seed, attach=("positions", "camera")) for seed in range(args.seeds)]
-    wanted = np.array([np.mean([along(g, p.direction) for g in found]) for p in ways])
-    soft.views, soft.start = exact.views.take(np.arange(1)), exact.start
+
+    def measured(plugin: Plugin) -> tuple[np.ndarray, np.ndarray]:
+        """Means over seeds, and their standard errors."""
+        found = [plugin.gradient(adjoint, args.spp, seed, attach=("positions", "camera")) for seed in range(args.seeds)]
+        rows = np.array([[along(g, p.direction) for p in ways] for g in found])
+        return rows.mean(0), rows.std(0, ddof=min(1, args.seeds - 1)) / np.sqrt(args.seeds)
+
+    wanted, noise = measured(exact)
+    hard = Plugin(scene, type="hard_soft", radius=1e-6).image(exact.start, args.spp, 1)
     yardstick = np.sqrt(np.mean(wanted**2))
-    hard = soft.image(soft.start, args.spp, 1)
-    print(f"| r, {args.scene} | image off (mean) | {' | '.join(p.name for p in ways)} | RMS |")
-    print("| ---: | ---: |" + " ---: |" * (len(ways) + 1))
+    print(f"| r, {args.scene} | image off (mean) | {' | '.join(p.name for p in ways)} |")
+    print("| ---: | ---: |" + " ---: |" * len(ways))
     for radius in args.radii:
-        soft.renderer = HardSoftRenderer(soft.topology, radius=radius)
-        found = [soft.gradient(adjoint, args.spp, seed, attach=("positions", "camera")) for seed in range(args.seeds)]
-        off = (np.array([np.mean([along(g, p.direction) for g in found]) for p in ways]) - wanted) / yardstick
-        image = np.abs(soft.image(soft.start, args.spp, 1) - hard).mean()
-        cells = " | ".join(f"{100 * x:+.1f} %" for x in off)
-        print(f"| {radius:g} | {image:.5f} | {cells} | {100 * np.sqrt(np.mean(off**2)):.1f} % |", flush=True)
+        soft = Plugin(scene, type="hard_soft", radius=radius)
+        found, its_noise = measured(soft)
+        image = np.abs(soft.image(exact.start, args.spp, 1) - hard).mean()
+        off, error = (found - wanted) / yardstick, np.hypot(noise, its_noise) / yardstick
+        cells = " | ".join(f"{100 * x:+.1f} ± {100 * e:.1f} %" for x, e in zip(off, error, strict=True))
+        print(f"| {radius:g} | {image:.5f} | {cells} |", flush=True)
 
 
 def reach(args: argparse.Namespace) -> None:
@@ -357,17 +359,17 @@ def normals(args: argparse.Namespace) -> None:
     start = written(replace(truth, normal=flat(truth.normal)), args.out / f"{truth.name}-flat.glb")
     opt = ms.Optimization(start, target, steps=args.steps, resolution=args.side, batch=args.views, overrides=args.set)
     opt.requires_grad("normal")
-    curve, pictures = [], []
+    pictures, first = [], None
+    print(f"| {truth.name}, {args.texels}² | dissimilarity | |\n| ---: | ---: | ---: |")
     for k in range(args.steps + 1):
         if k % max(1, args.steps // 12) == 0:
             now = opt.run.fit.model().normal
-            curve.append((k, normal_dissimilarity(now, truth.normal, shown)))
+            value = normal_dissimilarity(now, truth.normal, shown)
+            first = value if first is None else first
             pictures += [opt.run.fit.look()] if k in (0, args.steps) else []
+            print(f"| {k} | {value:.5f} | {100 * (1 - value / first):.1f} % less |", flush=True)
         if k < args.steps:
             opt.step()
-    print(f"| {truth.name}, {args.texels}² | step | dissimilarity |\n| --- | ---: | ---: |")
-    for k, value in curve:
-        print(f"| | {k} | {value:.5f} ({100 * (1 - value / curve[0][1]):.1f} % less) |")
     strip(args.out / f"normals-{truth.name}.png", opt.run.fit.held_out.images, *pictures)
     maps = np.concatenate([np.where(shown[..., None], 0.5 + 0.5 * x, 0) for x in (truth.normal, now)], axis=1)
     Image.fromarray(np.uint8(255 * np.clip(maps, 0, 1))).save(args.out / f"normals-{truth.name}-maps.png")
@@ -411,7 +413,7 @@ def main() -> None:
                 made.add_argument(f"--{option}", type=kind, default=value, nargs="+" if many else None)
 
     command("main", main_run, images=[1, 20], steps=1000, side=128, texels=256, spp=64, amount=0.06)
-    command("bias", bias, None, scene="two objects", radii=[0.1, 0.03, 0.01, 0.003, 0.001], spp=64, seeds=4)
+    command("bias", bias, None, scene="two objects", radii=[0.1, 0.03, 0.01, 0.003], spp=64, seeds=12)
     command("reach", reach, triangles=200, views=4, side=32, steps=60, starts=20, radius=0.2, found=0.1,
             rate=0.08, shifts=[0.25, 0.5, 0.75], rotations=[30.0])  # fmt: skip
     command("sphere", sphere, triangles=3000, radius=0.05, until=0.3)

@@ -22,6 +22,7 @@ MODULES = {
     "mi_simplify.bsdfs.mapped_texture": ("texture", "mapped_texture", VARIANTS),
     "mi_simplify.bsdfs.ggx_gamma": ("bsdf", "ggx_gamma", VARIANTS),
     "mi_simplify.integrators.direct_edge": ("integrator", "direct_edge", VARIANTS),
+    "mi_simplify.integrators.soft.plugin": ("integrator", "hard_soft", RGB_VARIANTS),
     "mi_simplify.integrators.lights.own_light": ("integrator", "own_light", RGB_VARIANTS),
     "mi_simplify.integrators.lights.direct_views": ("integrator", "direct_views", RGB_VARIANTS),
 }

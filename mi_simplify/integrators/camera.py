@@ -163,6 +163,10 @@ class FilmRays:
         _, view, x, y = film_samples(self.cameras, self.spp, self.seed, index)
         return view, *self.cameras.ray(view, x, y)
 
+    def source(self, index: mi.UInt32) -> mi.UInt32:
+        """The camera rays that some of the rays belong to: they themselves."""
+        return index
+
     def pixel(self, index: mi.UInt32) -> mi.UInt32:
         """Pixel of the batch that some of the rays belong to."""
         return film_samples(self.cameras, self.spp, self.seed, index)[0]

@@ -54,7 +54,7 @@ for variant in ('llvm_ad_rgb', 'scalar_rgb', 'llvm_ad_rgb', 'llvm_ad_mono_polari
         assert type(mi.load_dict({'type': 'ggx_gamma'})).__module__ == 'mi_simplify.bsdfs.ggx_gamma'
         print('rendered')
         continue
-    for name in ('ggx_gamma', 'direct_edge'):
+    for name in ('ggx_gamma', 'direct_edge', 'hard_soft'):
         try:
             mi.load_dict({'type': name})
         except Exception as error:

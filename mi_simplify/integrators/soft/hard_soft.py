@@ -98,6 +98,10 @@ class SoftRays(FilmRays):
         ey = ey + dr.gather(mi.Float, self.near.off_y, slot, soft)
         return view, *self.cameras.ray(view, dr.select(soft, ex, x), dr.select(soft, ey, y))
 
+    def source(self, index: mi.UInt32) -> mi.UInt32:
+        """The camera rays that some of the rays belong to: they themselves, but for those beyond edges."""
+        return self._place(index)[1]
+
     def pixel(self, index: mi.UInt32) -> mi.UInt32:
         """Pixel of the batch that some of the rays belong to."""
         return self._place(index)[2]
@@ -113,6 +117,32 @@ class SoftRays(FilmRays):
         w = (dr.rcp(1 + dr.exp(d / self.sigma)) - low) / (1 - 2 * low)
         w = dr.maximum(w, 0)
         return dr.select(soft, w, dr.select(is_near, 1 - w, 1)) / self.spp
+
+
+def beyond_outlines(scene: mi.Scene, rays: SoftRays, face: mi.UInt32) -> tuple[Nearest, mi.UInt32]:
+    """
+    What the soft rays meet, and where they lead: on the edge itself to the side that the camera ray did not meet.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        Of the mesh alone.
+    face : mi.UInt32, width N
+        What the camera rays meet.
+    """
+    near, lane = rays.near, dr.arange(mi.UInt32, dr.width(rays.near.ray)) + rays.n_film
+    met = dr.gather(mi.UInt32, face, near.ray)
+    _, origin, direction = rays.at(lane)
+    beyond, _ = trace(scene, origin, direction)
+    same = near.at_edge & (beyond == met)
+    turned = replace(near, off_x=-near.off_x, off_y=-near.off_y)
+    _, origin, direction = replace(rays, near=turned).at(lane)
+    other, _ = trace(scene, origin, direction, active=same)
+    turn = same & (other != met)
+    beyond = dr.select(turn, other, beyond)
+    off_x, off_y = (dr.select(turn, -off, off) for off in (near.off_x, near.off_y))
+    dr.eval(beyond, off_x, off_y)
+    return replace(near, off_x=off_x, off_y=off_y), beyond
 
 
 class HardSoftRenderer(DeferredRenderer):
@@ -166,7 +196,7 @@ class HardSoftRenderer(DeferredRenderer):
         )  # fmt: skip
         beyond = dr.full(mi.UInt32, MISS, 1)
         if is_any:
-            near, beyond = self._beyond(rays, face)
+            near, beyond = beyond_outlines(self.tracer.scene, rays, face)
             rays = replace(rays, near=near)
         both = dr.concat([face, beyond])
         hits = kept_hits(both, both != MISS)
@@ -179,24 +209,6 @@ class HardSoftRenderer(DeferredRenderer):
         )
         touched = None if flags is None else TouchedBlocks.of(textures, flags)
         return RenderedBatch(pixels(image, film.cameras), cameras.packets, rays, hits, touched)
-
-    def _beyond(self, rays: SoftRays, face: mi.UInt32) -> tuple[Nearest, mi.UInt32]:
-        """
-        What the soft rays meet, and where they lead: on the edge itself to the side that the camera ray did not meet.
-        """
-        near, lane = rays.near, dr.arange(mi.UInt32, dr.width(rays.near.ray)) + rays.n_film
-        met = dr.gather(mi.UInt32, face, near.ray)
-        _, origin, direction = rays.at(lane)
-        beyond, _ = trace(self.tracer.scene, origin, direction)
-        same = near.at_edge & (beyond == met)
-        turned = replace(near, off_x=-near.off_x, off_y=-near.off_y)
-        _, origin, direction = replace(rays, near=turned).at(lane)
-        other, _ = trace(self.tracer.scene, origin, direction, active=same)
-        turn = same & (other != met)
-        beyond = dr.select(turn, other, beyond)
-        off_x, off_y = (dr.select(turn, -off, off) for off in (near.off_x, near.off_y))
-        dr.eval(beyond, off_x, off_y)
-        return replace(near, off_x=off_x, off_y=off_y), beyond
 
     def backward(
         self,

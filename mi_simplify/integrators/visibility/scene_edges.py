@@ -11,10 +11,11 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import UserError
-from ...machine.meshes import NORMALS, POSITIONS, mesh_faces, mesh_positions
+from ...machine.meshes import NORMALS, POSITIONS, MovingMesh, mesh_faces, mesh_positions
 from ...machine.upload import upload
 from ...model.topology import weld
 from ..edge_rays import AT_EDGE
+from ..edge_set import EdgeSet
 from ..edges import edge_table
 from ..gbuffer import MISS
 from .crossings import Crossings, Eyes
@@ -57,8 +58,8 @@ class SceneEdges:
         if faces:
             key_offset = np.cumsum([0] + [int(k.max(initial=0)) + 1 for _, k in tables[:-1]])
             keys = np.concatenate([k + o for (_, k), o in zip(tables, key_offset, strict=True)])
-            all_faces = np.concatenate(faces)
-            self.edges = FilmEdges(edge_table(all_faces, keys), all_faces)
+            self._faces, self._keys = np.concatenate(faces), keys
+            self.edges = FilmEdges(edge_table(self._faces, keys), self._faces)
             self._find_horizon(faces)
         self._first = [upload(mi.UInt32, g) for g in gather]
         # By the number that Dr.Jit's registry gives a shape, as hits carry it.
@@ -180,13 +181,36 @@ class SceneEdges:
                 )
         if self._others:
             self._refuse_moving_groups(scene)
-        positions = [mesh_positions(mesh) for mesh in self._shapes]
-        moves = camera_moves or any(dr.grad_enabled(p) for p in positions)
+        moves = camera_moves or any(dr.grad_enabled(mesh_positions(mesh)) for mesh in self._shapes)
         moves |= lights is not None and dr.grad_enabled(lights.packets)
         normals = [mi.traverse(m)[NORMALS] for m in self._bent]
         if self.edges is None or not (moves or any(dr.grad_enabled(n) for n in normals)):
             return None
+        return self.positions()
+
+    def positions(self) -> mi.Float:
+        """
+        Welded positions of all meshes, flat, attached where they are.
+        """
+        positions = [mesh_positions(mesh) for mesh in self._shapes]
         return _joined([dr.ravel(dr.gather(mi.Point3f, p, i)) for p, i in zip(positions, self._first, strict=True)])
+
+    def outlines(self) -> tuple[EdgeSet, MovingMesh]:
+        """
+        The edges for the batched renderer's search of outlines, and all meshes as one that rays are traced against.
+        """
+        positions = dr.detach(self.positions()).numpy().reshape(-1, 3)
+        edges = EdgeSet(edge_table(self._faces, self._keys), self._faces, positions=positions)
+        return edges, MovingMesh(positions, self._faces)
+
+    def require_meshes(self, plugin: str) -> None:
+        """
+        Raise where a shape is no triangle mesh.
+        """
+        for shape in self._others:
+            raise UserError(
+                f"{plugin}: shape '{shape.id()}' is no triangle mesh; turn it into one, or take direct_edge"
+            )
 
 
 def _joined(arrays: list[mi.Float]) -> mi.Float:
