@@ -403,7 +403,7 @@ def main() -> None:
         if asset is not None:
             made.add_argument("asset", nargs="?", default=asset)
         made.add_argument("--out", type=Path, default=Path("out/dressi"))
-        made.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+        made.add_argument("--set", nargs="+", default=[], metavar="KEY=VALUE")
         for option, value in options.items():
             many = isinstance(value, list)
             kind = type(value[0] if many else value)
