@@ -20,23 +20,24 @@ SPP, SEED = 8, 1
 
 
 def test_it_softens_as_the_batched_renderer_does():
-    """Beside the hard image of the same samples: Mitsuba's bitmaps and BSDFs are looked up a little otherwise."""
+    """The coverage of an opaque scene is that of the weights alone; colours are looked up by Mitsuba's bitmaps here."""
     scene = scenes.scene("two objects")
-    plugins = [Plugin(scene, type="hard_soft", radius=radius) for radius in (0.05, 1e-6)]
-    batched = [soft(scene, radius=radius) for radius in (0.05, 1e-6)]
-    start, views = plugins[0].start, plugins[0].views.take(np.arange(1))
-    for renderer in batched:
-        renderer.views = views
-    ours, theirs = (np.subtract(*(r.image(start, 16, SEED) for r in pair)) for pair in (plugins, batched))
-    assert np.abs(theirs).mean() > 1e-3
-    assert np.abs(ours - theirs).mean() < 0.1 * np.abs(theirs).mean()
+    plugin, hard = (Plugin(scene, type="hard_soft", radius=radius) for radius in (0.05, 1e-6))
+    batched = soft(scene, radius=0.05)
+    start, batched.views = plugin.start, plugin.views.take(np.arange(1))
+    start["opacity"][:] = 1
+    hard.start = start
+    ours, expected, without = (r.image(start, 16, SEED)[..., 3] for r in (plugin, batched, hard))
+    softening = np.abs(expected - without).mean()
+    assert softening > 5e-3
+    assert np.abs(ours - expected).mean() < 0.05 * softening
 
 
 def test_the_gradient_is_that_of_the_image():
     """Of the same samples, wherever this image does not jump itself: see :mod:`.test_hard_soft`."""
     plugin = Plugin(scenes.scene("three faces an edge"), type="hard_soft")
     adjoint = film_weights(plugin.scene, 1)
-    wanted = ("translation x", "rotation", "scale", "along normals", "camera position")
+    wanted = ("rotation", "along normals", "camera position")
     here, pairs = plugin.image(plugin.start, SPP, SEED + 1).astype(np.float64), []
     for p in (p for p in parameters(plugin.scene, plugin.start) if p.name in wanted):
         eps = 0.02 * p.eps
@@ -66,4 +67,4 @@ def test_other_shapes_are_refused():
     scene = mi.load_dict({"type": "scene", "integrator": {"type": "hard_soft"}, "ball": {"type": "sphere"},
                           "sensor": {"type": "perspective"}})  # fmt: skip
     with pytest.raises(UserError, match="no triangle mesh"):
-        mi.render(scene, spp=1)
+        scene.integrator().render(scene, scene.sensors()[0], spp=1)

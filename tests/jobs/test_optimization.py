@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.tiny_models import Glb, corner_pixels
+from support.tiny_models import QUAD, Glb, corner_pixels
 
 import mi_simplify as ms
 from mi_simplify import cli
@@ -168,7 +168,8 @@ def bumpy(path, normal):
     material = glb.material(
         name="relief", normalTexture={"index": texture}, pbrMetallicRoughness={"metallicFactor": 0.0}
     )
-    glb.mesh(glb.quad(material), name="panel")
+    positions = glb.accessor(QUAD.astype("f4"), min=[0, 0, 0], max=[1, 1, 0])
+    glb.mesh(glb.quad(material, POSITION=positions), name="panel")
     glb.nodes({"mesh": 0, "name": "panel"})
     return glb.save(path)
 
