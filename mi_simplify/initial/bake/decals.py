@@ -32,17 +32,27 @@ def seen(detail: Detail, s: Points, hits: SurfacePoints) -> list[mi.Float]:
     t = mi.Float(0)
     for _ in range(LAYERS):
         layer, t = _next(detail, s, p + s.ray * near, t, near - gap, True)
+        if not _any(layer):
+            break
         sums, left = _behind(sums, left, _visible(detail, s, layer))
     sums, left = _behind(sums, left, own)
     below, t = detail.blends(hits), mi.Float(gap)
     for _ in range(LAYERS):
         layer, t = _next(detail, s, p, t, dr.select(below, near, 0), False)
+        if not _any(layer):
+            break
         sums, left = _behind(sums, left, _visible(detail, s, layer))
     opacity = sums[6]
     means = [
         dr.select(opacity > 1e-3, x / dr.maximum(opacity, 1e-3), y) for x, y in zip(sums[7:], own[7:], strict=True)
     ]
     return [*sums[:3], *own[3:6], opacity, *means[:6], own[13], *means[7:]]
+
+
+def _any(layer: SurfacePoints) -> bool:
+    """Whether a layer is there at all: most assets have one or two, and what a layer shows costs more than its rays."""
+    dr.eval(layer)
+    return bool(dr.any(layer.face != MISS))
 
 
 def _visible(detail: Detail, s: Points, hits: SurfacePoints) -> list[mi.Float]:
