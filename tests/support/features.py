@@ -109,6 +109,12 @@ def _lobe(name: str, **factors) -> Callable[[Draft], None]:
     return lambda d: d.extend(name, **factors)
 
 
+def _volume(d: Draft) -> None:
+    d.material["doubleSided"] = False  # what has no inside, or lets no light in, holds no volume
+    d.extend("KHR_materials_transmission", transmissionFactor=0.5)
+    d.extend("KHR_materials_volume", thicknessFactor=0.5, attenuationColor=[1, 0.5, 0.5])
+
+
 def _set(**content) -> Callable[[Draft], None]:
     return lambda d: d.material.update(content)
 
@@ -132,7 +138,7 @@ FEATURES: dict[str, tuple[Callable[[Draft], None], str]] = {
     "clear coat": (_lobe("KHR_materials_clearcoat", clearcoatFactor=0.5, clearcoatRoughnessFactor=0.1), "carried"),
     "sheen": (_lobe("KHR_materials_sheen", sheenColorFactor=[0.5, 0, 0]), "carried"),
     "transmission": (_lobe("KHR_materials_transmission", transmissionFactor=0.5), "carried"),
-    "volume": (_lobe("KHR_materials_volume", thicknessFactor=0.5, attenuationColor=[1, 0.5, 0.5]), "carried"),
+    "volume": (_volume, "carried"),
     "index of refraction": (_lobe("KHR_materials_ior", ior=1.33), "carried"),
     "iridescence": (_lobe("KHR_materials_iridescence", iridescenceFactor=0.5), "carried"),
     "anisotropy": (_lobe("KHR_materials_anisotropy", anisotropyStrength=0.5), "carried"),
