@@ -109,7 +109,7 @@ def test_pairs_satisfy_the_validator_of_khronos(tmp_path, node_run):
     """No error, and no warning that the file it was made from has not: some extensions are there without another."""
     every = pairs()
     written = []
-    for k in np.random.default_rng(4).permutation(len(every))[:40]:
+    for k in np.random.default_rng(4).permutation(len(every))[:24]:
         (tmp_path / str(k)).mkdir()
         path = check(every[k], tmp_path / str(k))
         written += [str(path), str(path.with_name("in.glb"))]
