@@ -22,6 +22,7 @@ from ..judging.comparison import save_comparison
 from ..judging.evaluate import Judging
 from ..judging.self_check import LEAST_LOSSY_PSNR, LEAST_PSNR, self_check
 from ..judging.verdict import larger, unlike
+from ..machine import memory
 from ..machine.files import write_atomic
 from ..machine.runtime import ensure_variant
 from ..model.asset import Asset
@@ -163,6 +164,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
     if config.export.glb.max_bytes is not None:
         require_room(frame.restored(guess), config.export.glb, _facts(config))
     reference = subject.reference()
+    memory.release()
     clock.lap("first guess")
     with folder.opened():
         if not folder.resume:
@@ -173,6 +175,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         record = Record(folder, checkpoint, interrupt, config, frame, _facts(config))
         fitted = record.fit(guess, reference, state, progress, clock.seconds["total"])
         clock.lap("fit", before=0.0 if state is None else state["seconds"])
+        memory.release()
         guess, model = frame.restored(guess), frame.restored(fitted.model)
         progress(Progress("export"))
         if folder.checkpoint.is_dir():
@@ -191,6 +194,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
             baseline = subject.baseline(guess.n_triangles)
             candidates = {"quadrics": as_exported(frame.restored(baseline)), **candidates}
         comparison = subject.judge(candidates, Judging.of(config), progress)
+        memory.release()
         clock.lap("evaluate")
         run = {
             **_facts(config), "variant": config.variant, "notes": notes, "seconds": clock.seconds,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import contextvars
+import gc
 import os
 import re
 import sys
@@ -150,3 +151,13 @@ def _free_in_cgroup() -> int | None:
         except (OSError, ValueError):  # 'max' is no limit
             continue
     return None
+
+
+def release() -> None:
+    """
+    Give back what Dr.Jit keeps of arrays that are gone, between stages that need arrays of other sizes.
+    """
+    import drjit as dr  # which takes its time to load
+
+    gc.collect()
+    dr.flush_malloc_cache()
