@@ -1,6 +1,6 @@
 """
 Environment map and roughness together (Takimoto et al. 2022, supplement, Sect. 2.1): fixed views of a known shape and
-base colour, a grey map and a roughness of 0.5 everywhere to begin with.
+base colour, a grey map and a roughness of 0.5 to begin with, one for the whole surface or a texture (`--texels`).
 
     .venv/bin/python benchmarks/dressi_light.py --sky ../shared/assets/envmap/StinsonBeach.hdr --spot ../shared/assets/spot/spot.obj
     .venv/bin/python benchmarks/dressi_light.py --shapes torus --roughness .2 --transport path
@@ -185,6 +185,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=600)
     parser.add_argument("--views", type=int, default=20)
     parser.add_argument("--side", type=int, default=96)
+    parser.add_argument("--texels", type=int, default=1, help="side of the roughness texture")
     parser.add_argument("--spp", type=int, default=64, help="of the targets")
     parser.add_argument("--rates", default="0.03,0.03", help="of the map and of roughness")
     parser.add_argument("--out", type=Path, default=Path("out/dressi_light"))
@@ -216,7 +217,7 @@ def fitted(shape, is_metal: bool, sky: np.ndarray, roughness: float, case: str, 
     parts = {r: shape(material(r, float(is_metal))) for r in (roughness, 0.5)}
     true, start = (Asset((part,), (Instance(0, name="shape"),), name="shape") for part in parts.values())
     file = options.out / f"{case}.glb"
-    write_glb(file_model(start, ["roughness"], texture_size=32).model, file)
+    write_glb(file_model(start, ["roughness"], texture_size=options.texels).model, file)
     views = around(options.views, options.side)
     settings = [
         "latent.ambient.kind=environment", f"latent.ambient.rows={options.rows}", "loss.image=l2",
@@ -224,7 +225,7 @@ def fitted(shape, is_metal: bool, sky: np.ndarray, roughness: float, case: str, 
     ]  # fmt: skip
     opt = ms.Optimization(
         file, targets=target(true, sky, options.transport, options.spp), views=views, steps=options.steps,
-        resolution=options.side, batch=min(4, options.views), texture_size=32, overrides=settings,
+        resolution=options.side, batch=min(4, options.views), texture_size=options.texels, overrides=settings,
     )  # fmt: skip
     rates = [float(rate) for rate in options.rates.split(",")]
     opt.requires_grad(environment=rates[0], roughness=rates[1])
