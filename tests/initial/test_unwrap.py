@@ -83,7 +83,7 @@ def test_creases_have_two_normals_and_cost_no_chart():
     smooth, _ = unwrap(BOX, BOX_FACES, atlas_size=128)
     assert np.array_equal(smooth.uvs[smooth.faces], mesh.uvs[mesh.faces])  # the same charts
     assert np.array_equal(charts(smooth)[0], charts(mesh)[0]) and len(smooth.uvs) <= 24
-    assert np.allclose(np.abs(smooth.normals()), 1 / np.sqrt(3), atol=0.2)
+    assert np.abs(smooth.normals()).sum(1).min() > 0.94 * 3**0.5  # nearly along the diagonals, 20 degrees at most
 
 
 def test_the_same_mesh_is_unwrapped_the_same_way():
