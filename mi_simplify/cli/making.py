@@ -56,6 +56,7 @@ from .options import (
 @click.option("--keep", "kept", metavar="NAME", multiple=True, help="Keep the nodes of this name; repeatable.")
 @click.option("--drop-extras", is_flag=True, help="Leave out the copyright notice and the extras of the asset's file.")
 @FRAMES
+@click.option("--transfer", is_flag=True, help="Also write soft self-shadows of the whole clip, as textures.")
 @click.option("--bind-pose-only", is_flag=True, help="Fit a character in its bind pose alone.")
 @OUT
 @click.option("--config", metavar="YAML", help="Settings to start from.")
@@ -68,7 +69,7 @@ from .options import (
 @QUIET
 def simplify(
     asset, triangles, vertices, psnr, flip, screen_size, init, mode, keep_uv, bake_occlusion, keep_hidden,
-    keep_nodes, kept, drop_extras, frames, bind_pose_only, out, config, settings, **options,
+    keep_nodes, kept, drop_extras, frames, transfer, bind_pose_only, out, config, settings, **options,
 ) -> None:  # fmt: skip
     """
     Simplify ASSET: a model file, a Mitsuba scene, sample:relic for the embedded one, or package.module:function for
@@ -93,8 +94,9 @@ def simplify(
             raise click.UsageError(f"--mode {mode} makes a first guess of its own, so it does not go with --init")
         initial["kind"] = mode
     chosen = {"asset": asset, **size, "animation": animation(frames, bind_pose_only)}
-    if drop_extras:
-        chosen["export"] = {"metadata": False}
+    chosen["export"] = {"metadata": False} if drop_extras else {}
+    if transfer:
+        chosen["export"]["transfer"] = {"write": True}
     _run(config, out or default_folder(asset), [*settings, chosen], **options)
 
 

@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from .amounts import GoalSettings
 from .animation import AnimationSettings
+from .export import CarriedSettings
 from .glb import GlbSettings as GlbSettings
 from .initial import InitialSettings
 from .inputs import ImagesSettings, ImplicitSettings
@@ -163,6 +164,7 @@ class ExportSettings(Section):
         ("glb", "obj", "usd"), description="Model files to write: `glb`, `obj`, `usd`, or what an extension registers."
     )
     glb: GlbSettings = GlbSettings()
+    transfer: CarriedSettings = CarriedSettings()
     metadata: bool = Field(True, description="Carry over the asset's copyright notice and the extras of its file.")
     checkpoint: float = Field(
         30.0, ge=0, description="Seconds between two checkpoints, from which `--resume` goes on; 0: after every step."

@@ -36,6 +36,7 @@ from ..record.record import Record
 from ..record.stopwatch import Stopwatch
 from ..report.folder import report_folder
 from ..subjects import Subject, open_asset, open_subject
+from ..transfer.carrier import Carrier
 from .budget_search import Found, find_budget, with_stored_budget
 from .byte_budget import require_room, with_packing, within_bytes
 from .footprint import check_footprint
@@ -153,6 +154,7 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
     subject = open_subject(config)
     config, frame = subject.config, subject.frame
     check_footprint(config, subject.geometry)
+    carry = Carrier(subject.display, config.export.transfer) if config.export.transfer.write else None
     clock.lap("load")
     checkpoint = Checkpoint(folder.checkpoint, config, subject.geometry)
     state = None
@@ -204,6 +206,9 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         }  # fmt: skip
         comparison = replace(comparison, figures={**comparison.figures, "run": run})
         with folder.staged() as stage:
+            if carry is not None:
+                run["transfer"] = carry(result, stage / "transfer", progress)
+                clock.lap("transfer")
             save_comparison(comparison, stage)
             write_atomic(stage / "config.yaml", dump(config))  # again: the folder may have been removed meanwhile
         report_folder(folder.path, _displayed(subject) | {"result": result})

@@ -29,7 +29,7 @@ MARKS = (
 )  # fmt: skip
 """What only a run of ours leaves behind; a folder with one of these holds a run."""
 
-BESIDES = ("model.mtl", "model_*.png", "displacement", "mips")
+BESIDES = ("model.mtl", "model_*.png", "displacement", "mips", "transfer")
 """What goes with a run when it is replaced, and may be anybody's elsewhere."""
 
 _STAGE = ".writing-"

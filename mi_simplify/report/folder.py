@@ -25,6 +25,9 @@ from .viewer import MOST_TRIANGLES
 
 log = logging.getLogger("mi_simplify")
 
+PLAYER = "player.json"
+"""What a report plays under a turning sky, in the folder ``transfer`` of a run."""
+
 MOST_MODELS = 6
 """So many models are put into the page, which carries their textures."""
 
@@ -74,6 +77,7 @@ def report_folder(folder: str | Path, assets: Mapping[str, Asset] | None = None)
         maps=_displacement(folder / "displacement"),
         files=sorted(path for path in folder.iterdir() if path.name.startswith("model")),
         notes=figures.get("run", {}).get("notes", ()),
+        player=_player(folder / "transfer" / PLAYER),
     )
 
 
@@ -120,6 +124,14 @@ def _displacement(folder: Path) -> dict[str, np.ndarray]:
     except (UserError, OSError, ValueError, LookupError, TypeError):
         raise OutputError(f"{folder} is damaged; remove it to have a report without it") from None
     return {label: (height[..., 0] >> 8).astype(np.uint8)}
+
+
+def _player(path: Path) -> dict | None:
+    """What plays under a turning sky; None where there is nothing."""
+    try:
+        return json.loads(_text(path)) if path.is_file() else None
+    except ValueError:
+        raise OutputError(f"{path} is damaged; remove it to have a report without it") from None
 
 
 def _text(path: Path) -> str:

@@ -2,9 +2,9 @@
 The report of a run: one HTML file that opens anywhere, without a network.
 
 This module says what is in it, ``web/report.html`` how it looks. Every part is a ``<section>`` with an id, every
-picture a ``<figure>`` that says what it shows, and the figures stand once more as JSON in ``#report-data``. The two
-scripts, ``web/page.js`` and ``web/viewer.js``, are in the page, which permits no others and no connection; without them
-everything but divider and 3D view is still there.
+picture a ``<figure>`` that says what it shows, and the figures stand once more as JSON in ``#report-data``. The
+scripts, ``page.js``, ``viewer.js`` and ``transfer.js`` of ``web``, are in the page, which permits no others and no
+connection; without them everything but divider, 3D view and player is still there.
 """
 
 from __future__ import annotations
@@ -73,6 +73,7 @@ def report_page(
     log: Sequence[Mapping] = (),
     files: Iterable[str | Path] = (),
     notes: Iterable[str] = (),
+    player: Mapping[str, Any] | None = None,
 ) -> str:
     """
     The content of ``report.html``.
@@ -96,11 +97,14 @@ def report_page(
         Written files, listed with their sizes.
     notes : iterable of str
         What was repaired or left out, one line each.
+    player : mapping, optional
+        Surfaces with transfer coefficients, which play under a turning sky: see ``web/transfer.js``.
     """
     models, figures, columns = models or {}, comparison.figures, pictures(comparison)
     names, turning = list(comparison.candidates), viewer_data(models) if models else {}
     is_fit = "run" in figures or len(names) < 2  # the last candidate is what all the others are for
-    scripts = [web_file("page.js"), *([web_file("webgl.js") + web_file("viewer.js")] if models else [])]
+    drawing = [name for name, is_wanted in (("viewer.js", models), ("transfer.js", player)) if is_wanted]
+    scripts = [web_file("page.js"), *(["".join(map(web_file, ["webgl.js", *drawing]))] if drawing else [])]
     return render(
         "report.html",
         title=title,
@@ -116,11 +120,15 @@ def report_page(
         grid=grid(columns, names),
         textures=texture_sheets([*models.values()][-1], maps or {}) if models else [],
         table=_table(figures),
+        player=player,
+        carried=_carried(figures),
         curves=_curves(log),
         notes=list(notes),
         files=[(path.name, _size(path.stat().st_size)) for path in map(Path, files) if path.is_file()],
         settings=settings,
-        data={"report-data": figures} | ({"viewer-data": turning} if models else {}),
+        data={"report-data": figures}
+        | ({"viewer-data": turning} if models else {})
+        | ({"player-data": player} if player else {}),
         scripts=[Markup(script) for script in scripts],
     )
 
@@ -179,6 +187,16 @@ def _table(figures: Mapping) -> dict:
         cells += [p.format(values[k]) if k in values else "" for k, (_, p, _, _) in measured.items()]
         rows.append((name, cells))
     return {"heads": heads, "rows": rows}
+
+
+def _carried(figures: Mapping) -> dict | None:
+    """How close transfer in textures comes to rays, and what it would be without; nothing where there is none."""
+    own = figures.get("run", {}).get("transfer")
+    if own is None:
+        return None
+    asset, places = own["psnr"]["asset"], own["psnr"]["places"]
+    rows = [(name, [f"{asset[name]:.2f}", f"{places[name]:.2f}", _size(own["bytes"][name])]) for name in asset]
+    return {"heads": ["", "PSNR, asset [dB]", "PSNR, same places [dB]", "size"], "rows": rows}
 
 
 def _curves(log: Sequence[Mapping]) -> list[dict[str, str]]:

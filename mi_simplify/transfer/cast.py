@@ -79,6 +79,8 @@ class Caster:
         Without, the closed form alone.
     bounces : int
         Diffuse interreflections to follow: 0, 1 or 2; the back of a face reflects nothing.
+    n_points : int, optional
+        How many points are lit, where these are not the mesh's vertices; they see no interreflections.
     """
 
     def __init__(
@@ -91,33 +93,42 @@ class Caster:
         albedo: float = 0.8,
         shadowed: bool = True,
         bounces: int = 0,
+        n_points: int | None = None,
     ):
+        if n_points is not None and bounces:
+            raise ValueError("interreflections are known at the vertices of the mesh alone")
+        n = len(positions) if n_points is None else n_points
         self.order, self.n_directions, self.albedo = order, n_directions, albedo
         self.shadowed, self.bounces = shadowed, bounces
         self._faces = mi.UInt32(np.ascontiguousarray(faces, np.uint32).ravel())
         self._mesh = MovingMesh(np.asarray(positions), np.asarray(faces))
-        rng = np.random.default_rng(len(positions))
-        self._turn = mi.Float(rng.random(len(positions), np.float32))
-        self._shift = mi.Float(rng.random(len(positions), np.float32))
+        rng = np.random.default_rng(n)
+        self._turn = mi.Float(rng.random(n, np.float32))
+        self._shift = mi.Float(rng.random(n, np.float32))
 
-    def __call__(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def __call__(self, positions: np.ndarray, normals: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
         """
         Coefficients of a frame.
 
         Parameters
         ----------
-        positions, normals : ndarray, shape (V, 3)
-            Unit normals; light is received on their side alone.
+        positions : ndarray, shape (V, 3)
+            Of the mesh.
+        normals : ndarray, shape (N, 3)
+            Unit normals of what is lit; light is received on their side alone.
+        points : ndarray, shape (N, 3), optional
+            What is lit; the vertices if not given.
 
         Returns
         -------
-        ndarray, shape (V, (order + 1)²), float32
+        ndarray, shape (N, (order + 1)²), float32
         """
         out = unshadowed(normals, self.order, self.albedo)
         if not self.shadowed:
             return out
         low, high = positions.min(0), positions.max(0)
-        origin = np.asarray(positions, np.float64) + OFFSET * float(np.linalg.norm(high - low)) * np.asarray(normals)
+        lit = positions if points is None else points
+        origin = np.asarray(lit, np.float64) + OFFSET * float(np.linalg.norm(high - low)) * np.asarray(normals)
         flat = mi.Float(np.ascontiguousarray(positions, np.float32).ravel())
         self._mesh.move(flat)
         start = mi.Point3f(np.ascontiguousarray(origin.T, np.float32))

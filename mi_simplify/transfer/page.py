@@ -1,8 +1,8 @@
 """
 The report of a network: the object plays its frames under a sky that the viewer turns, from rays and from both models.
 
-``report/web/transfer.html`` says how it looks, ``report/web/transfer.js`` shades what :func:`player_data` gives it.
-Pictures and curves below are for those who only look.
+``report/web/transfer.html`` says how it looks, :mod:`.player` what its script draws. Pictures and curves
+below are for those who only look.
 """
 
 from __future__ import annotations
@@ -20,19 +20,17 @@ from ..judging.metrics import tonemap
 from ..machine.files import write_atomic
 from ..model.color import linear_to_srgb
 from ..report.chart import line_chart
-from ..report.embed import data_uri, packed_array
+from ..report.embed import data_uri
 from ..report.templates import render, script_hash, web_file
 from .cast import unshadowed
 from .dataset import Dataset
 from .judge import Model
-from .light import SKIES, sky, turning_series
+from .light import SKIES, sky
 from .picture import Camera, seen
+from .player import VIEW, Surface, player_data
 
 #: Side of the pictures [px].
 SIZE = 192
-
-#: From where they are taken, and where the viewer starts [degrees around +Y from +Z, degrees up].
-VIEW = (40.0, 25.0)
 
 
 def write_page(
@@ -73,38 +71,13 @@ def write_page(
             version=__version__,
             permitted=Markup(script_hash(script)),
             style=Markup(web_file("style.css")),
-            names=list(transfers),
-            skies=list(SKIES),
-            n_frames=len(frames),
             rows=_pictures(data, frames, transfers, order),
             table=_table(figures),
             curves=_curves(figures, held, errors),
-            data=player_data(data, frames, transfers, order),
+            data=player_data([Surface(data.positions[frames], data.faces, transfers)]),
             script=Markup(script),
         ),
     )
-
-
-def player_data(data: Dataset, frames: np.ndarray, transfers: Mapping[str, np.ndarray], order: int) -> dict[str, Any]:
-    """
-    What the player draws, as JSON values: faces, positions and transfer of the frames as 16-bit fractions of ``scale``,
-    and each sky as a Fourier series of its angle.
-    """
-    points = data.positions[frames]
-    size = float(np.abs(points).max())
-    scale = max(float(np.abs(t).max()) for t in transfers.values())
-    return {
-        "n": data.n, "frames": len(frames), "coefficients": (order + 1) ** 2, "view": VIEW,
-        "faces": packed_array(data.faces.astype(np.uint32)),
-        "positions": {"scale": size, "values": packed_array(_fractions(points / size))},
-        "transfer": {name: packed_array(_fractions(t / scale)) for name, t in transfers.items()}, "scale": scale,
-        "skies": {name: turning_series(sky(name, order)).round(6).tolist() for name in SKIES},
-    }  # fmt: skip
-
-
-def _fractions(x: np.ndarray) -> np.ndarray:
-    """Values in [-1, 1] as signed 16-bit fractions."""
-    return np.rint(np.clip(x, -1, 1) * 32767).astype(np.int16)
 
 
 def _errors(data: Dataset, model: Model, frames: np.ndarray) -> np.ndarray:

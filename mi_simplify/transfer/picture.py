@@ -91,13 +91,14 @@ def seen(positions: np.ndarray, faces: np.ndarray, camera: Camera, size: int) ->
     scene = mi.load_dict({"type": "scene", "object": make_mesh("object", positions, faces)})
     ray = mi.Ray3f(*(np.ascontiguousarray(x.T, np.float32) for x in (origin, d)))
     hit = scene.ray_intersect_preliminary(ray, coherent=True)
-    prim = np.where(np.array(hit.is_valid()), np.array(hit.prim_index), 0).astype(np.int64)
-    v = np.array(hit.prim_uv).T
+    valid = np.array(hit.is_valid())
+    prim = np.where(valid, np.array(hit.prim_index), 0).astype(np.int64)
+    v = np.where(valid, np.array(hit.prim_uv), 0).T
     corners = np.asarray(faces)[prim]
     p = np.asarray(positions, np.float64)[corners]
     front = np.einsum("ni,ni->n", np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), d) < 0
     weights = np.stack([1 - v[:, 0] - v[:, 1], v[:, 0], v[:, 1]], axis=1).astype(np.float32)
-    covered = np.array(hit.is_valid()) & front
+    covered = valid & front
     return Hits(covered.reshape(size, size), corners.reshape(size, size, 3), weights.reshape(size, size, 3))
 
 

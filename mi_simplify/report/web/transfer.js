@@ -1,5 +1,6 @@
 "use strict";
-// Frames of an object side by side, one view a model: coefficients times light is a color for each vertex, drawn by WebGL 2.
+// Frames of surfaces side by side, one view a set of coefficients: times light they are a color for each vertex or texel,
+// drawn by WebGL 2.
 (() => {
   const box = document.getElementById("player");
   const canvas = box.querySelector("canvas");
@@ -10,23 +11,26 @@
   }
   const data = JSON.parse(document.getElementById("player-data").textContent);
   const [sky, turn, frame, play, spin] = ["sky", "turn", "frame", "play", "spin"].map((k) => box.querySelector(`[name=${k}]`));
-  const nVertices = data.n * data.n, k = data.coefficients, names = Object.keys(data.transfer);
+  const k = data.coefficients, nViews = data.names.length;
 
   const VERTEX = `#version 300 es
     uniform mat4 toClip;
     layout(location = 0) in vec3 position;
     layout(location = 1) in vec3 radiance;
-    out vec3 color;
-    void main() { color = radiance; gl_Position = toClip * vec4(position, 1.0); }`;
+    layout(location = 2) in vec2 uv;
+    out vec3 color; out vec2 at;
+    void main() { color = radiance; at = uv; gl_Position = toClip * vec4(position, 1.0); }`;
   const FRAGMENT = `#version 300 es
     precision highp float;
-    in vec3 color; out vec4 result;
+    uniform sampler2D map; uniform bool textured;
+    in vec3 color; in vec2 at; out vec4 result;
     void main() {
-      vec3 c = gl_FrontFacing ? clamp(color, 0.0, 1.0) : vec3(0.0);
+      vec3 c = textured ? texture(map, at).rgb : color;
+      c = gl_FrontFacing ? clamp(c, 0.0, 1.0) : vec3(0.0);
       result = vec4(mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)), 1.0);
     }`;
   const program = webgl.program(gl, VERTEX, FRAGMENT);
-  const toClip = gl.getUniformLocation(program, "toClip");
+  const toClip = gl.getUniformLocation(program, "toClip"), textured = gl.getUniformLocation(program, "textured");
 
   // The sky turned by an angle: a Fourier series, (K, 3).
   function light() {
@@ -35,21 +39,22 @@
     return series[0].map((row, i) => row.map((_, c) => terms.reduce((sum, t, j) => sum + t * series[j][i][c], 0)));
   }
 
-  let positions, transfer, nIndices, changed = true, last = 0, clock = 0;
+  let surfaces, changed = true, last = 0, clock = 0;
   const camera = { yaw: (data.view[0] * Math.PI) / 180, pitch: (data.view[1] * Math.PI) / 180, distance: 3.2 };
-  const points = new Float32Array(3 * nVertices), colors = new Float32Array(3 * nVertices);
-  const buffers = [gl.createBuffer(), gl.createBuffer()];
 
-  function pose(at) {
-    const start = 3 * nVertices * at, scale = data.positions.scale / 32767;
-    for (let i = 0; i < points.length; i++) points[i] = positions[start + i] * scale;
+  function pose(surface, at) {
+    const { points, positions, size, buffers } = surface, start = points.length * at;
+    for (let i = 0; i < points.length; i++) points[i] = (positions[start + i] * size) / 32767;
     gl.bindBuffer(gl.ARRAY_BUFFER, buffers[0]);
     gl.bufferData(gl.ARRAY_BUFFER, points, gl.DYNAMIC_DRAW);
   }
 
-  function shade(name, at, l) {
-    const values = transfer[name], start = k * nVertices * at, scale = data.scale / 32767;
-    for (let v = 0; v < nVertices; v++) {
+  // Colors of the vertices, or of the texels as sRGB bytes, which are filtered as what they stand for.
+  const encode = (c) => 255 * (c > 0.0031308 ? 1.055 * Math.min(c, 1) ** (1 / 2.4) - 0.055 : 12.92 * Math.max(c, 0));
+  function shade(surface, values, at, l) {
+    const { side, colors, bytes, buffers, map } = surface, n = colors.length / 3;
+    const start = k * n * at, scale = data.scale / 32767;
+    for (let v = 0; v < n; v++) {
       let r = 0, g = 0, b = 0;
       for (let i = 0; i < k; i++) {
         const t = values[start + v * k + i];
@@ -61,8 +66,41 @@
       colors[3 * v + 1] = g * scale;
       colors[3 * v + 2] = b * scale;
     }
-    gl.bindBuffer(gl.ARRAY_BUFFER, buffers[1]);
-    gl.bufferData(gl.ARRAY_BUFFER, colors, gl.DYNAMIC_DRAW);
+    if (side) {
+      for (let v = 0; v < n; v++) for (let c = 0; c < 3; c++) bytes[4 * v + c] = encode(colors[3 * v + c]);
+      gl.bindTexture(gl.TEXTURE_2D, map);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.SRGB8_ALPHA8, side, side, 0, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+    } else {
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffers[1]);
+      gl.bufferData(gl.ARRAY_BUFFER, colors, gl.DYNAMIC_DRAW);
+    }
+    gl.uniform1i(textured, Boolean(side));
+  }
+
+  // The arrays of a surface on the device.
+  function placed(surface, [faces, positions, uvs, ...views]) {
+    const side = surface.side, n = side * side || surface.vertices;
+    const indices = new Uint32Array(faces), vao = gl.createVertexArray(), map = gl.createTexture();
+    gl.bindVertexArray(vao);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, indices, gl.STATIC_DRAW);
+    const buffers = [0, 1, 2].map((location) => {
+      const buffer = gl.createBuffer();
+      if (location === (side ? 1 : 2)) return buffer;
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      if (location === 2) gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(uvs), gl.STATIC_DRAW);
+      gl.enableVertexAttribArray(location);
+      gl.vertexAttribPointer(location, location === 2 ? 2 : 3, gl.FLOAT, false, 0, 0);
+      return buffer;
+    });
+    gl.bindTexture(gl.TEXTURE_2D, map);
+    for (const axis of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, axis, gl.CLAMP_TO_EDGE);
+    for (const way of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, way, gl.LINEAR);
+    return {
+      vao, map, buffers, side, size: surface.size, nIndices: indices.length, positions: new Int16Array(positions),
+      points: new Float32Array(3 * surface.vertices), colors: new Float32Array(3 * n),
+      bytes: new Uint8Array(4 * side * side).fill(255), views: views.map((view) => new Int16Array(view)),
+    };
   }
 
   const dot = (a, b) => a.reduce((sum, x, j) => sum + x * b[j], 0);
@@ -86,13 +124,17 @@
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
     gl.uniformMatrix4fv(toClip, false, matrix());
-    const at = Number(frame.value), l = light(), side = Math.min(height, Math.floor(width / names.length));
-    pose(at);
-    names.forEach((name, j) => {
-      shade(name, at, l);
-      gl.viewport(Math.round((width * (j + 0.5)) / names.length - side / 2), Math.round((height - side) / 2), side, side);
-      gl.drawElements(gl.TRIANGLES, nIndices, gl.UNSIGNED_INT, 0);
-    });
+    const at = Number(frame.value), l = light(), side = Math.min(height, Math.floor(width / nViews));
+    let j = 0;
+    for (const surface of surfaces) {
+      gl.bindVertexArray(surface.vao);
+      pose(surface, at);
+      for (const view of surface.views) {
+        shade(surface, view, at, l);
+        gl.viewport(Math.round((width * (j++ + 0.5)) / nViews - side / 2), Math.round((height - side) / 2), side, side);
+        gl.drawElements(gl.TRIANGLES, surface.nIndices, gl.UNSIGNED_INT, 0);
+      }
+    }
     box.dataset.state = "drawn";
   }
 
@@ -146,18 +188,11 @@
   new ResizeObserver(() => (changed = true)).observe(canvas);
 
   (async () => {
-    const content = await Promise.all([data.faces, data.positions.values, ...Object.values(data.transfer)].map(webgl.unpacked));
-    const indices = new Uint32Array(content[0]);
-    positions = new Int16Array(content[1]);
-    transfer = Object.fromEntries(names.map((name, j) => [name, new Int16Array(content[2 + j])]));
-    nIndices = indices.length;
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, indices, gl.STATIC_DRAW);
-    buffers.forEach((buffer, location) => {
-      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-      gl.enableVertexAttribArray(location);
-      gl.vertexAttribPointer(location, 3, gl.FLOAT, false, 0, 0);
-    });
+    surfaces = [];
+    for (const surface of data.surfaces) {
+      const parts = [surface.faces, surface.positions, surface.uvs, ...Object.values(surface.views)];
+      surfaces.push(placed(surface, await Promise.all(parts.map(webgl.unpacked))));
+    }
     play.checked = spin.checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
     requestAnimationFrame(tick);
   })();
