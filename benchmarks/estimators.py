@@ -118,7 +118,7 @@ def _estimators(plugin: Plugin, adjoint: np.ndarray, samples: int) -> list[Calla
     return [ours, *map(theirs, others)]
 
 
-def measure(name: str, rounds: int, samples: int = SAMPLES, difference_samples: int = 512) -> Row:
+def measure(name: str, rounds: int, samples: int = SAMPLES) -> Row:
     """
     One scene: ``rounds`` gradients for variance and time, as many differences and places for bias.
     """
@@ -141,7 +141,7 @@ def measure(name: str, rounds: int, samples: int = SAMPLES, difference_samples: 
         variance.append(float(every.var(axis=0, ddof=1).sum() / np.sum(every.mean(axis=0) ** 2)))
     moves = [p for p in scenes.parameters(scene, plugin.start) if p.name in _MOVES]
     truth = np.array([
-        [np.sum(central_difference(plugin, p, difference_samples, 1 + k) * adjoint) for k in range(rounds)]
+        [np.sum(central_difference(plugin, p, 8 * samples, 1 + k) * adjoint) for k in range(rounds)]
         for p in moves
     ])  # fmt: skip
     bias = []
@@ -316,7 +316,10 @@ def main() -> None:
     if options.part != "figure":
         lines: list[str] = []
         for title in wanted or CASES:
-            lines += map(beside_row, measure_beside(title, rounds=(options.rounds, 4 * options.rounds)))
+            lines += map(
+                beside_row,
+                measure_beside(title, repeats=max(2, options.rounds // 2), rounds=(options.rounds, 4 * options.rounds)),
+            )
             print("\n".join(lines[-2:]), flush=True)
         if not options.dry:
             write("table", beside_block(lines))
