@@ -160,7 +160,7 @@ def test_what_is_not_fitted_stays_to_the_bit(arguments, fitted, starts, toy, tmp
     run = ["simplify", str(toy / "sphere.ply"), "--init", str(low), "--keep-uv", "--set", "optimizer.steps=16"]
     run += ["--set", "initial.textures=constant", "--set", "optimizer.batch=4", "--set", "optimizer.spp=4"]
     fast = [f"--set=optimizer.rates.{name}=0.02" for name in ("base_color", "specular", "normal")]
-    assert cli.main([*run, *arguments, *fast, "--set=evaluation.every=16", "-o", str(tmp_path), "--quiet", *TOY]) == 0
+    assert cli.main([*run, *arguments, *fast, "--set=evaluation.every=4", "-o", str(tmp_path), "--quiet", *TOY]) == 0
     result = parts_of(tmp_path / "model.glb")
     changed = {name for name in result if not np.array_equal(result[name], guess[name])}
     assert changed == fitted
