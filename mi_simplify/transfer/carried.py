@@ -10,7 +10,6 @@ the rays, on both sides of every seam.
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from ..errors import AssetError
 from ..initial.closest import ClosestPoints, closest_barycentric, sample_surface
 from ..machine.files import write_atomic
 from ..progress import Progress, ProgressCallback, silent
+from .archive import opened
 from .body import Body, Places
 from .cast import Caster, unshadowed
 
@@ -93,11 +93,8 @@ def load_carried(path: str | Path) -> CarriedTransfer:
     AssetError
         The file is missing or holds something else.
     """
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return CarriedTransfer(data["textures"], data["weights"], data["frames"])
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise AssetError(f"{path}: transfer.npz of a run expected, it cannot be read ({error}); run it again") from None
+    with opened(path, "transfer.npz of a run", "run it again") as data:
+        return CarriedTransfer(data["textures"], data["weights"], data["frames"])
 
 
 def carried(

@@ -4,16 +4,15 @@ A deforming object as images: positions, normals and transfer of every frame, he
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import AssetError
 from ..machine.files import write_atomic
 from ..progress import Progress, ProgressCallback, silent
+from .archive import opened
 from .cast import Caster
 from .sequences.sequence import Sequence
 from .surfaces.image import geometry_image, grid_faces
@@ -86,15 +85,10 @@ def load_dataset(path: str | Path) -> Dataset:
     AssetError
         The file is missing or holds something else.
     """
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            figures = dict(zip(data["figure_names"].tolist(), data["figures"].tolist(), strict=True))
-            positions, normals, transfer = (
-                np.asarray(data[k], np.float32) for k in ("positions", "normals", "transfer")
-            )
-            return Dataset(int(data["n"]), positions, normals, transfer, float(data["albedo"]), figures)
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise AssetError(f"{path}: a file of 'transfer bake' expected, it cannot be read ({error}); bake it") from None
+    with opened(path, "a file of 'transfer bake'", "bake it") as data:
+        figures = dict(zip(data["figure_names"].tolist(), data["figures"].tolist(), strict=True))
+        positions, normals, transfer = (np.asarray(data[k], np.float32) for k in ("positions", "normals", "transfer"))
+        return Dataset(int(data["n"]), positions, normals, transfer, float(data["albedo"]), figures)
 
 
 def bake(

@@ -135,9 +135,7 @@ class Cluster:
         try:
             return self._ray.get(reference)
         except exceptions.RayTaskError as error:
-            if isinstance(
-                error.cause, OutputError
-            ):  # as_instanceof_cause() would have the remote traceback as its text
+            if isinstance(error.cause, OutputError):  # that of as_instanceof_cause() has a traceback in its text
                 raise error.cause from None
             raise
         except exceptions.RayError as error:
