@@ -5,11 +5,14 @@ The ``direct_edge`` integrator plugin: direct light with exact visibility gradie
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
 
 from ..errors import UserError
+from .film_samples import FilmSamples
 from .visibility.crossings import Crossings
 from .visibility.projections import Projections, sensor_projections
 from .visibility.scene_edges import SceneEdges
@@ -90,6 +93,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 f"direct_edge: 'ambient' is RGB, which {mi.variant()} is not; add a `constant` emitter instead"
             )
         self._edges: SceneEdges | None = None
+        self._last: tuple[mi.Sensor, mi.TensorXf] | None = None  # tells edge samples where something is to be seen
         self._warned = False
 
     def sample(self, mode, scene, sampler, ray, active=True, at_edge=None, **_):
@@ -103,7 +107,9 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         valid, alive, meets_edge = mi.Bool(False), mi.Bool(active), mi.Bool(False)
         for layer in range(self.layers):
             if layer == 0:
-                si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=True, active=alive)
+                # Rays beside edges are not in the order of pixels.
+                coherent = at_edge is None
+                si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.All, coherent=coherent, active=alive)
             else:
                 si, ray = self._behind(scene, ray, si, alive)
             if not self.hide_emitters:
@@ -162,17 +168,14 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         onward.o = dr.select(is_same, farther.o, onward.o)
         return dr.select(is_same, other, found), onward
 
-    def _splat(self, film, sensor, scene, seed, spp, mode):
+    def _samples(self, film, sensor, scene, seed, spp, mode) -> FilmSamples:
         """
-        Camera samples of an image in an image block, attached where the scene is.
+        Camera samples of an image, attached where the scene is.
         """
         sampler, spp = self.prepare(sensor, seed, spp, [])
         ray, weight, pos = self.sample_rays(scene, sensor, sampler)
         radiance, _, (coverage,), _ = self.sample(mode, scene, sampler, ray)
-        block = film.create_block()
-        block.set_coalesce(block.coalesce() and spp >= 4)
-        type(self)._splat_to_block(block, film, pos, radiance * weight, 1, coverage, [], ray.wavelengths)
-        return block, spp
+        return FilmSamples(pos, radiance * weight, coverage, mi.Float(1), ray.wavelengths, spp)
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         """
@@ -183,9 +186,9 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             sensor = scene.sensors()[sensor]
         film = sensor.film()
         with dr.suspend_grad():
-            block, _ = self._splat(film, sensor, scene, seed, spp, dr.ADMode.Primal)
-            film.put_block(block)
+            self._samples(film, sensor, scene, seed, spp, dr.ADMode.Primal).put(film)
             image = film.develop() if develop else mi.TensorXf()
+            self._last = (sensor, mi.TensorXf(image)) if develop else None
             if develop:
                 dr.schedule(image)
             else:
@@ -195,24 +198,19 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 dr.sync_thread()
             return image
 
-    def _attached(self, scene, sensor, seed, spp, mode):
+    def _attached(self, scene, sensor, seed, spp, mode) -> tuple[mi.Film, list[FilmSamples]]:
         """
-        The image with everything that its derivative depends on attached, edges included.
+        A film ready to be put on, and the samples that the image's derivative consists of, attached.
         """
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
         film = sensor.film()
-        block, spp = self._splat(film, sensor, scene, seed, spp, mode)
-        film.put_block(block)
-        edge_block = self._boundary(scene, sensor, seed, spp, film)
-        if edge_block is not None:
-            film.put_block(edge_block)
-        return film.develop()
+        samples = self._samples(film, sensor, scene, seed, spp, mode)
+        return film, [samples, *self._boundary(scene, sensor, seed, samples.per_pixel, film)]
 
-    def _boundary(self, scene, sensor, seed, spp, film):
+    def _boundary(self, scene, sensor, seed, spp, film) -> Iterator[FilmSamples]:
         """
-        What moving edges do to the image that is on the film: values of zero whose derivative is the jump times the
-        motion.
+        What moving edges do to the image: values of zero whose derivative is the jump times the motion.
         """
         with dr.suspend_grad():
             if self._edges is None or not self._edges.is_of(scene):
@@ -220,29 +218,28 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         lights = sharp_lights(scene) if self.shadows else None
         positions = self._edges.moving_positions(scene, sensor, lights)
         if positions is None:
-            return None
+            return
         if self.shadows and not self._warned and soft_lights(scene):
             names = ", ".join(soft_lights(scene))
             log.warning("direct_edge: derivatives of the shadows of %s are not computed; they are constants", names)
             self._warned = True
+        last, image = self._last or (None, None)
+        if last is not sensor:
+            image = self.render(scene, sensor, mi.UInt32(seed) + 0x3C6EF372, spp=1)
         projections = sensor_projections(sensor, int(dr.detach(mi.UInt32(seed))[0]))
         pixels = dr.prod(film.crop_size())
         n = max(1024, int(pixels * spp * self.edge_fraction))
         opaque_seed = dr.opaque(mi.UInt32, seed) + 0x9E3779B9
-        block = film.create_block()
-        block.set_coalesce(False)
-        for k, c in enumerate(
-            self._edges.crossings(scene, positions, projections, lights, n, opaque_seed, _shown(film))
-        ):
-            self._put(block, scene, sensor, film, dr.detach(projections), c, opaque_seed + 7919 * k, spp)
-        return block
+        shown = _flat(image, film)
+        for k, c in enumerate(self._edges.crossings(scene, positions, projections, lights, n, opaque_seed, shown)):
+            yield self._across(scene, sensor, film, dr.detach(projections), c, opaque_seed + 7919 * k, spp)
 
-    def _put(
-        self, block: mi.ImageBlock, scene: mi.Scene, sensor: mi.Sensor, film: mi.Film, projections: Projections,
-        c: Crossings, seed: mi.UInt32, spp: int,
-    ) -> None:  # fmt: skip
+    def _across(
+        self, scene: mi.Scene, sensor: mi.Sensor, film: mi.Film, projections: Projections, c: Crossings,
+        seed: mi.UInt32, spp: int,
+    ) -> FilmSamples:  # fmt: skip
         """
-        Add jumps to a block: zeros whose derivative is the jump times the motion of the curve.
+        Jumps as samples: zeros whose derivative is the jump times the motion of the curve.
         """
         edges = self._edges
         assert edges is not None  # which the crossing is from
@@ -264,19 +261,19 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 radiance, _, (coverage,), meets = self.sample(dr.ADMode.Primal, scene, sampler, ray, at_edge=at_edge)
                 sides.append([*(radiance * weight), coverage])
                 met.append(meets)
+            # The film's weights count camera samples, spp of them a pixel.
             counts = dr.select(c.shows(*met), c.weight * spp, 0)
         motion = c.motion * counts
         jump = [dr.replace_grad(mi.Float(0), (low - high) * motion) for low, high in zip(*sides, strict=True)]
         pos = mi.Vector2f(c.x, c.y)
         if film.rfilter().is_box_filter():
             pos = dr.floor(pos)
-        # Weight 0: the block's weights count camera samples, spp of them a pixel, hence the factor above.
-        type(self)._splat_to_block(block, film, pos, mi.Spectrum(*jump[:-1]), 0, jump[-1], [], wavelengths)
+        return FilmSamples(pos, mi.Spectrum(*jump[:-1]), jump[-1], mi.Float(0), wavelengths)
 
     def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
-        image = self._attached(scene, sensor, seed, spp, dr.ADMode.Forward)
+        film, parts = self._attached(scene, sensor, seed, spp, dr.ADMode.Forward)
         try:
-            dr.forward_to(image)
+            dr.forward_to(*(a for part in parts for a in (part.value, part.coverage) if dr.grad_enabled(a)))
         except RuntimeError as error:
             if "isolate_grad" not in str(error):
                 raise
@@ -286,12 +283,26 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 " that lives may carry any: call dr.forward(variable, dr.ADFlag.ClearEdges) after params.update() and"
                 " before mi.render, and disable the gradients of other scenes"
             ) from error
-        return dr.grad(image)
+        for part in parts:
+            # A film is linear in what is put on it.
+            replace(part, value=dr.grad(part.value), coverage=dr.grad(part.coverage)).put(film)
+        return film.develop()
 
     def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
-        image = self._attached(scene, sensor, seed, spp, dr.ADMode.Backward)
+        film, parts = self._attached(scene, sensor, seed, spp, dr.ADMode.Backward)
+        # What the image takes from each sample, of where the samples are: nothing is traced for that.
+        zeros = [(dr.zeros(mi.Spectrum, part.width), dr.zeros(mi.Float, part.width)) for part in parts]
+        for part, (value, coverage) in zip(parts, zeros, strict=True):
+            dr.enable_grad(value, coverage)
+            replace(part, value=value, coverage=coverage).put(film)
+        image = film.develop()
         dr.set_grad(image, grad_in)
         dr.enqueue(dr.ADMode.Backward, image)
+        dr.traverse(dr.ADMode.Backward)
+        for part, zero in zip(parts, zeros, strict=True):
+            for of_part, of_film in zip((part.value, part.coverage), zero, strict=True):
+                dr.set_grad(of_part, dr.grad(of_film))
+                dr.enqueue(dr.ADMode.Backward, of_part)
         dr.traverse(dr.ADMode.Backward)
         dr.eval()
 
@@ -310,17 +321,16 @@ def _wavelengths(sensor: mi.Sensor, seed: mi.UInt32, n: int) -> tuple[mi.Color, 
     return ray.wavelengths, weight
 
 
-def _shown(film) -> mi.Float | None:
+def _flat(image: mi.TensorXf, film: mi.Film) -> mi.Float | None:
     """
-    What is on a film, flat RGBA (whatever its channels are, four of them), detached; None where it is cropped.
+    An image as flat RGBA (whatever its channels are, four of them), detached; None where it is not the whole film.
     """
-    if dr.any(film.crop_size() != film.size()):
+    height, width, n = image.shape
+    if dr.any(film.size() != mi.ScalarVector2u(width, height)):
         return None
-    image = dr.detach(film.develop())
-    n = image.shape[2]
-    channel = dr.minimum(dr.tile(dr.arange(mi.UInt32, 4), dr.prod(image.shape[:2])), n - 1)
-    pixel = dr.repeat(dr.arange(mi.UInt32, dr.prod(image.shape[:2])), 4)
-    return dr.gather(mi.Float, image.array, pixel * n + channel)
+    channel = dr.minimum(dr.tile(dr.arange(mi.UInt32, 4), width * height), n - 1)
+    pixel = dr.repeat(dr.arange(mi.UInt32, width * height), 4)
+    return dr.gather(mi.Float, dr.detach(image).array, pixel * n + channel)
 
 
 mi.register_integrator("direct_edge", lambda props: DirectEdge(props))

@@ -15,6 +15,7 @@ from ...scenes.views import Views
 from ..camera import Cameras, FilmRays, film_samples
 from ..direct_edge import DirectEdge
 from ..edge_set import EdgeSet
+from ..film_samples import FilmSamples
 from ..gbuffer import trace
 from ..visibility.scene_edges import SceneEdges
 from .hard_soft import SoftRays, beyond_outlines
@@ -69,7 +70,7 @@ class HardSoft(DirectEdge):
             )
         self._outlines: tuple[EdgeSet, MovingMesh] | None = None
 
-    def _splat(self, film, sensor, scene, seed, spp, mode):
+    def _samples(self, film, sensor, scene, seed, spp, mode) -> FilmSamples:
         _, spp = self.prepare(sensor, seed, spp, [])
         with dr.suspend_grad():
             if self._edges is None or not self._edges.is_of(scene):
@@ -87,14 +88,9 @@ class HardSoft(DirectEdge):
         radiance, _, (coverage,), _ = self.sample(mode, scene, sampler, ray)
         weight, n_film = rays.weight(lane) * spp, cameras.n_pixels * spp
         _, _, x, y = film_samples(cameras, spp, seed, rays.source(lane))
-        block = film.create_block()
-        block.set_coalesce(False)
-        # The block's weights count camera samples; the rays beyond edges come on top of these.
+        # The film's weights count camera samples; the rays beyond edges come on top of these.
         counts = dr.select(lane < n_film, mi.Float(1), 0)
-        type(self)._splat_to_block(
-            block, film, mi.Vector2f(x, y), radiance * weight, counts, coverage * weight, [], ray.wavelengths
-        )
-        return block, spp
+        return FilmSamples(mi.Point2f(x, y), radiance * weight, coverage * weight, counts, ray.wavelengths)
 
     def _rays(self, film: FilmRays) -> FilmRays:
         """The camera rays, and those beyond outlines, attached where camera and positions are."""
@@ -119,7 +115,7 @@ class HardSoft(DirectEdge):
 
     def _boundary(self, scene, sensor, seed, spp, film):
         """Nothing: the image itself is continuous."""
-        return None
+        return ()
 
     def to_string(self):
         return f"HardSoft[radius={self.radius}, sigma={self.sigma}, delta={self.reach}, shadows={self.shadows}]"
