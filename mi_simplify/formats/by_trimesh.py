@@ -1,10 +1,12 @@
 """
-OFF, 3MF and Collada through trimesh, which reads them; their materials as far as it knows them.
+OFF and 3MF through trimesh, which reads them; their materials as far as it knows them.
 """
 
 from __future__ import annotations
 
 import logging
+import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,8 @@ from ..model.color import srgb_to_linear
 from .images import to_float
 from .resources import printable
 
-#: Suffixes, and what trimesh needs besides itself to read them.
-SUFFIXES = {".off": (), ".3mf": ("lxml", "networkx"), ".dae": ("pycollada",)}
+#: Elements of 3MF models that colour them.
+_COLORED = re.compile(rb"<(\w+:)?(basematerials|colorgroup|texture2d)\b")
 
 
 def read_by_trimesh(path: Path) -> Asset:
@@ -36,14 +38,17 @@ def read_by_trimesh(path: Path) -> Asset:
     try:
         scene: Any = trimesh.load(path, force="scene", process=False)
     except (ImportError, AttributeError) as error:
-        needed = " ".join(SUFFIXES[path.suffix.lower()])
-        raise AssetError(f"{path.name}: trimesh needs more packages for this format: pip install {needed}") from error
+        raise AssetError(
+            f"{path.name}: trimesh needs more packages for this format: pip install 'mi-simplify[formats]'"
+        ) from error
     except Exception as error:  # whatever a reader of somebody else's stumbles over
         line = (str(error).splitlines() or [type(error).__name__])[0]
         raise AssetError(f"{path.name}: trimesh cannot read it ({line:.100}); export it as GLB") from error
     finally:
         logging.getLogger("trimesh").removeHandler(said)
     notes = [f"trimesh: {printable(line)}" for line in dict.fromkeys(said.lines)]
+    if path.suffix.lower() == ".3mf" and _has_colors(path):
+        notes.append("colours and textures of the 3MF file were left out; export it as GLB to keep them")
     parts: dict[str, int] = {}
     made: list[Part] = []
     for name, mesh in scene.geometry.items():
@@ -60,6 +65,13 @@ def read_by_trimesh(path: Path) -> Asset:
     if not instances:
         raise AssetError(f"{path.name}: trimesh finds no triangles in it; export a mesh, as GLB")
     return Asset(tuple(made), tuple(instances), notes=tuple(notes))
+
+
+def _has_colors(path: Path) -> bool:
+    """Whether a 3MF package names materials."""
+    with zipfile.ZipFile(path) as package:
+        models = [name for name in package.namelist() if name.endswith(".model")]
+        return any(_COLORED.search(package.read(name)) for name in models)
 
 
 class _Lines(logging.Handler):

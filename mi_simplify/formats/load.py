@@ -51,7 +51,8 @@ def load_asset(path: str | Path, *, purpose: str = "asset") -> Asset:
     Parameters
     ----------
     path : str or Path
-        OBJ (with MTL), PLY, STL, GLB, glTF, USD, USDA, USDC, USDZ, or a Mitsuba scene (XML).
+        OBJ (with MTL), PLY, STL, GLB, glTF, USD, USDA, USDC, USDZ, OFF, or a Mitsuba scene (XML); with the extra
+        ``formats`` FBX, Collada, 3MF and STEP.
     purpose : str
         What the messages call the file: 'asset', 'reference', 'low-poly mesh', …
 
@@ -142,6 +143,18 @@ def _other(path: Path) -> Asset:
     return read_by_trimesh(path)
 
 
+def _assimp(path: Path) -> Asset:
+    from .by_assimp import read_by_assimp
+
+    return read_by_assimp(path)
+
+
+def _step(path: Path) -> Asset:
+    from .step import read_step
+
+    return read_step(path)
+
+
 def _mitsuba(path: Path) -> Asset:
     ensure_variant()  # before Mitsuba's classes can be named
     from .mitsuba.read import read_mitsuba
@@ -159,7 +172,8 @@ def _usd(path: Path) -> Asset:
 
 for _read, _suffixes in (
     (_obj, ".obj"), (_ply, ".ply"), (_stl, ".stl"), (_gltf, ".glb .gltf"), (_usd, ".usd .usda .usdc .usdz"),
-    (_mitsuba, ".xml"), (_other, ".off .3mf .dae"),
+    (_mitsuba, ".xml"), (_other, ".off .3mf"), (_assimp, ".fbx .dae"),
+    (_step, ".step .stp"),
 ):  # fmt: skip
     for _suffix in _suffixes.split():
         register_reader(_suffix, _read)

@@ -18,17 +18,6 @@ def test_off_with_colours_of_vertices(tmp_path):
     assert part.vertices.shape == (4, 3) and part.faces.tolist() == [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 
 
-def test_collada_keeps_placements_and_colours(tmp_path):
-    pytest.importorskip("collada")
-    box = trimesh.creation.box()
-    box.visual.vertex_colors = np.tile(np.uint8([255, 128, 0, 255]), (8, 1))
-    scene = trimesh.Scene()
-    scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([3, 0, 0]))
-    (tmp_path / "box.dae").write_bytes(scene.export(file_type="dae"))
-    asset = load_asset(tmp_path / "box.dae")
-    assert asset.bounds.tolist() == [[2.5, -0.5, -0.5], [3.5, 0.5, 0.5]] and asset.n_triangles == 12
-
-
 def test_face_colours_are_linear_and_split_the_vertices(tmp_path):
     from mi_simplify.formats.by_trimesh import _part
 

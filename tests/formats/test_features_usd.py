@@ -96,6 +96,9 @@ FEATURES: dict[str, tuple] = {
         lambda a: (material(a).alpha_mode, material(a).alpha_cutoff) == ("MASK", 0.25),
     ),
     "blending": ({"surface": "float inputs:opacity = 0.5"}, lambda a: material(a).alpha_mode == "BLEND"),
+    "one-sided faces": (
+        {"mesh": "uniform bool doubleSided = 0"}, lambda a: not material(a).double_sided and a.notes == ()
+    ),
     "clear coat": (
         {"surface": "float inputs:clearcoat = 0.5"}, lambda a: "KHR_materials_clearcoat" in material(a).lobes
     ),

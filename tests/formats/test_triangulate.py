@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.exchange import collada, fbx
 
 from mi_simplify.errors import MeshError
 from mi_simplify.formats import triangulate as module
@@ -49,7 +50,19 @@ def in_usd(folder):
     return folder / "e.usda"
 
 
-@pytest.mark.parametrize("writer", [in_obj, in_ply, in_usd])
+def in_dae(folder):
+    pytest.importorskip("assimp_py")
+    (folder / "e.dae").write_text(collada(E, [range(12)], E[:, :2] / 5))
+    return folder / "e.dae"
+
+
+def in_fbx(folder):
+    pytest.importorskip("assimp_py")
+    (folder / "e.fbx").write_text(fbx(E, [range(12)], E[:, :2] / 5))
+    return folder / "e.fbx"
+
+
+@pytest.mark.parametrize("writer", [in_obj, in_ply, in_usd, in_dae, in_fbx])
 def test_a_concave_polygon_is_covered_once_and_texture_coordinates_follow(tmp_path, writer):
     (part,) = load_asset(writer(tmp_path)).parts
     signed = area_vectors(part.vertices[part.faces])[:, 2] / 2

@@ -48,16 +48,30 @@ class Meshes:
     def __init__(self, resources: Resources, skeletons: Skeletons):
         self.resources, self._skeletons = resources, skeletons
         self._materials: dict[str, tuple[Material, tuple[Mapping, ...], str | None]] = {}
+        self._one_sided: dict[int, tuple[Material, Material]] = {}
 
     def parts(self, prim: Usd.Prim, query: UsdSkel.SkinningQuery | None = None) -> list[Part]:
         """
         A mesh as parts, one for each of its materials; skinned where ``query`` says how.
+
+        They are of one side where the file says so, not where that is the default alone: viewers of USD show both then.
 
         Raises
         ------
         MeshError
             Face counts and indices that do not fit together.
         """
+        found = self._parts(prim, query)
+        sides = UsdGeom.Gprim(prim).GetDoubleSidedAttr()
+        if not sides.HasAuthoredValue() or sides.Get(TIME):
+            return found
+        return [replace(part, material=self._of_one_side(part.material)) for part in found]
+
+    def _of_one_side(self, material: Material) -> Material:
+        """The same object for all parts of a material."""
+        return self._one_sided.setdefault(id(material), (material, replace(material, double_sided=False)))[1]
+
+    def _parts(self, prim: Usd.Prim, query: UsdSkel.SkinningQuery | None) -> list[Part]:
         solid = primitive_mesh(prim)
         if solid is not None:
             return [self._solid(prim, *solid)]
