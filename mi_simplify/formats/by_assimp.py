@@ -61,7 +61,8 @@ def read_by_assimp(path: Path) -> Asset:
         line = " ".join(str(error).split()).replace(str(path), path.name)
         raise AssetError(f"{path.name}: Assimp cannot read it ({printable(line)}); export it as GLB") from error
     materials = [_material(values, resources) for values in scene.materials]
-    parts, which = [], {}
+    parts: list[Part] = []
+    which: dict[int, int] = {}
     for k, mesh in enumerate(scene.meshes):
         if mesh.num_faces and mesh.num_indices == 3 * mesh.num_faces:
             which[k] = len(parts)
