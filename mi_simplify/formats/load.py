@@ -138,19 +138,19 @@ def _gltf(path: Path) -> Asset:
 
 
 def _other(path: Path) -> Asset:
-    from .by_trimesh import read_by_trimesh
+    from .exchange.by_trimesh import read_by_trimesh
 
     return read_by_trimesh(path)
 
 
 def _assimp(path: Path) -> Asset:
-    from .by_assimp import read_by_assimp
+    from .exchange.by_assimp import read_by_assimp
 
     return read_by_assimp(path)
 
 
 def _step(path: Path) -> Asset:
-    from .step import read_step
+    from .exchange.step import read_step
 
     return read_step(path)
 

@@ -19,7 +19,7 @@ def test_off_with_colours_of_vertices(tmp_path):
 
 
 def test_face_colours_are_linear_and_split_the_vertices(tmp_path):
-    from mi_simplify.formats.by_trimesh import _part
+    from mi_simplify.formats.exchange.by_trimesh import _part
 
     box = trimesh.creation.box()
     box.visual.face_colors = np.tile(np.uint8([255, 128, 0, 255]), (12, 1))

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import AssetError
-from ..model.asset import Asset, Instance, Material, Part
-from ..model.color import srgb_to_linear
-from .images import constant, is_normal_map, join_channels, opacity, rgb, to_float, unit_normals
-from .resources import MissingFile, Resources, printable, read_bytes
-from .validate import check_indices
+from ...errors import AssetError
+from ...model.asset import Asset, Instance, Material, Part
+from ...model.color import srgb_to_linear
+from ..images import constant, is_normal_map, join_channels, opacity, rgb, to_float, unit_normals
+from ..resources import MissingFile, Resources, printable, read_bytes
+from ..validate import check_indices
 
 #: Assimp's numbers of textures (aiTextureType); of each of ours those that can hold it, the better first.
 _BASE, _OPACITY, _EMISSION, _NORMAL = (12, 1), (8,), (14, 4), (6, 13, 5)

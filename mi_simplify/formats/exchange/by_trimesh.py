@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import AssetError
-from ..model.asset import Asset, Instance, Material, Part
-from ..model.color import srgb_to_linear
-from .images import to_float
-from .resources import printable
+from ...errors import AssetError
+from ...model.asset import Asset, Instance, Material, Part
+from ...model.color import srgb_to_linear
+from ..images import to_float
+from ..resources import printable
 
 #: Elements of 3MF models that colour them.
 _COLORED = re.compile(rb"<(\w+:)?(basematerials|colorgroup|texture2d)\b")

@@ -9,10 +9,10 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from ..errors import AssetError
-from ..model.asset import Asset
-from .gltf.read import read_gltf
-from .resources import read_bytes
+from ...errors import AssetError
+from ...model.asset import Asset
+from ..gltf.read import read_gltf
+from ..resources import read_bytes
 
 #: How far triangles may be from the surface, as a share of the edges [1], and by how much they may turn [radians]. The
 #: triangles are what is simplified, so there may be many.

@@ -1,0 +1,1 @@
+"""Formats that libraries of others read for us."""
