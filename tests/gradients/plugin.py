@@ -92,7 +92,7 @@ class Plugin:
                 "fov": float(np.degrees(2 * np.arctan(arrays["tan_x"][0]))),
                 "near_clip": 1e-3,
                 "to_world": mi.ScalarTransform4f(self._to_world(self.start["camera"][0])),
-                "sampler": {"type": "multijitter"},
+                "sampler": {"type": "multijitter", "sample_count": 1},  # for images that nobody looks at
                 "film": {
                     "type": "hdrfilm", "width": width, "height": height, "pixel_format": "rgba",
                     "component_format": "float32", "rfilter": {"type": rfilter},

@@ -120,13 +120,14 @@ class SceneEdges:
         lights : Eyes or None
             Lights that cast sharp shadows, where there are shadows.
         n : int
-            How many samples of edges; half as many of either of the others.
+            How many samples of edges; a quarter of them of horizons, whose jumps are small, and half of borders of
+            shadows.
         """
         assert self.edges is not None
         yield self.edges.sample(positions, projections, n, seed, image, lights)
         if self.horizon is not None:
             bent, normals = (_joined([mi.traverse(m)[key] for m in self._bent]) for key in (POSITIONS, NORMALS))
-            yield self.horizon.sample(bent, normals, projections, n // 2, seed + 0x632BE5AB)
+            yield self.horizon.sample(bent, normals, projections, n // 4, seed + 0x632BE5AB)
         if lights is not None:
 
             def plane(si: mi.SurfaceInteraction3f) -> tuple[mi.Point3f, mi.Vector3f, list[mi.UInt32]]:
