@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from support.heads import morphable
 from support.paths import ROOT
 from support.short import SHORT
 from support.tiny_models import Glb
@@ -42,7 +43,10 @@ ARGUMENTS = {
     "dressi speed sphere.ply --triangles 60 --texels 64 --views 4 --side 16 --spp 1 --rounds 1": [],
     "dressi reactive sphere.glb --texels 32 --views 2 --side 32 --rounds 1": [],
     "dressi normals sphere.glb --relief --texels 32 --views 2 --side 32 --steps 2": [],
-    "dressi_face face.npz --subjects 1 --modes 2": [],
+    "dressi_face face.npz --subjects 1 --height 32 --spp 1 --out out --set texture_size=16": [
+        "steps=2",
+        "resolution=16",
+    ],
     "dressi_light --shapes torus --materials metal --roughness .3 --rows 8 --steps 2 --views 2 --side 16 --spp 2": [],
     "end_to_end --smallest sphere.ply": [],
     "estimators --part figure --rounds 2 --samples 1 --dry --only": ["cube"],
@@ -102,9 +106,7 @@ def test_a_benchmark_runs(line, tmp_path, monkeypatch, capsys):
     if name == "dressi":
         write_glb(ms.first_guess(ms.open_asset("sphere.ply"), triangles=60, atlas_size=32)[0], tmp_path / "sphere.glb")
     if name == "dressi_face":
-        rng = np.random.default_rng(0)
-        face = {"neutral": 2 * rng.normal(size=(90, 3)), "landmarks": np.arange(68)}
-        np.savez("face.npz", **face, identity=rng.random((3, 90, 3)), expression=rng.random((2, 90, 3)))
+        morphable(tmp_path / "face.npz")
     if name == "foliage":
         glb = Glb()
         glb.mesh(glb.quad(glb.material()))

@@ -14,6 +14,7 @@ from .. import __version__
 from ..errors import Defect, UserError
 from .about import config_schema, doctor, version
 from .batching import batch
+from .faces import face
 from .judging import compare, evaluate, inspect, render, report
 from .making import bake, fit, forest, lod, run, simplify
 from .transfer import transfer
@@ -28,7 +29,7 @@ def cli() -> None:
 
 
 for _command in (
-    simplify, fit, run, lod, bake, forest, batch, evaluate, compare, report, render, inspect, doctor, version,
+    simplify, fit, face, run, lod, bake, forest, batch, evaluate, compare, report, render, inspect, doctor, version,
     config_schema, transfer,
 ):  # fmt: skip
     cli.add_command(_command)

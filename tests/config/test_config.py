@@ -8,6 +8,7 @@ from pydantic import ValidationError
 from support.paths import ROOT
 
 from mi_simplify.config import PRESETS, dump, json_schema, load_config, markdown, with_fixed
+from mi_simplify.config.commands.face import load_face
 from mi_simplify.config.commands.forest import load_forest
 from mi_simplify.config.commands.transfer import load_transfer
 from mi_simplify.config.layers import parse_override
@@ -219,7 +220,7 @@ def test_every_preset_is_valid(name):
 
 @pytest.mark.parametrize("path", sorted((ROOT / "scenes").glob("*.yaml")), ids=lambda p: p.name)
 def test_every_example_loads(path):
-    loaders = {"forest": load_forest, "transfer": load_transfer}
+    loaders = {"face": load_face, "forest": load_forest, "transfer": load_transfer}
     loaders.get(path.stem.split("_")[0], load_config)(path)
 
 

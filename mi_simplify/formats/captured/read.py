@@ -97,7 +97,7 @@ def read_captured(path: str | Path, *, may_be_empty: bool = False) -> Captured:
     frames = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
         raise AssetError(f"{path.name}: it has no 'frames', a list of images with their cameras")
-    return _Reader(path, document).read(frames, may_be_empty)
+    return FrameReader(path, document).read(frames, may_be_empty)
 
 
 def read_image(path: Path, to_world: np.ndarray, yfov: float, aspect: float | None) -> Captured:
@@ -126,11 +126,22 @@ def read_image(path: Path, to_world: np.ndarray, yfov: float, aspect: float | No
         )
     document = {"up": "y", "fl_x": height / 2 / np.tan(yfov / 2)}
     frame = {"file_path": path.name, "transform_matrix": to_world.tolist()}
-    return _Reader(path, document).read([frame], False)
+    return FrameReader(path, document).read([frame], False)
 
 
-class _Reader:
-    """Frames of one file, one after the other."""
+class FrameReader:
+    """
+    Frames of one file, one after the other.
+
+    Parameters
+    ----------
+    path : Path
+    document : dict
+        What the file says of all frames.
+    """
+
+    needs_mask = True
+    """Whether an image without alpha and mask is refused; else it covers all of its pixels."""
 
     def __init__(self, path: Path, document: dict[str, Any]):
         self.path, self.document = path, document
@@ -139,14 +150,15 @@ class _Reader:
                 raise AssetError(f"{path.name}: '{key}' should be {' or '.join(known)}, got {document[key]!r:.40}")
 
     def read(self, frames: list[dict], may_be_empty: bool) -> Captured:
+        """All of them."""
         turn = np.eye(4) if self.document.get("up") == "y" else _Y_UP
-        files = [self._file(frame, "file_path") for frame in frames]
+        files = [self.file(frame, "file_path") for frame in frames]
         n_pixels = sum(int(np.prod(check_image(file.read_bytes(), file.name, self.path.name))) for file in files)
         memory.require(n_pixels * 8 * 2, f"{self.path.name}: its {len(files)} images", "use fewer or smaller ones")
         images, to_world, focal, center = [], [], [], []
         for frame, file in zip(frames, files, strict=True):
-            image = self._image(frame, file)
-            f, c = self._intrinsics(frame, image, file.name)
+            image = self.image(frame, file)
+            f, c = self.intrinsics(frame, image, file.name)
             images.append(image)
             to_world.append(turn @ self._pose(frame, file.name))
             focal.append(f)
@@ -170,7 +182,8 @@ class _Reader:
             tuple(file.name for file in files), str(self.path),
         )  # fmt: skip
 
-    def _file(self, frame: dict, key: str) -> Path:
+    def file(self, frame: dict, key: str) -> Path:
+        """The file that a frame names under a key."""
         name = frame.get(key)
         if not isinstance(name, str) or not name:
             raise AssetError(f"{self.path.name}: a frame has no '{key}'")
@@ -180,7 +193,7 @@ class _Reader:
                 return file
         raise AssetError(f"{self.path.name}: the image '{name}' does not exist; paths are relative to {self.path.name}")
 
-    def _pixels(self, file: Path) -> tuple[np.ndarray, bool]:
+    def pixels(self, file: Path) -> tuple[np.ndarray, bool]:
         """Values in [0, 1] or radiance, shape (H, W, C), and whether they came as floating point numbers."""
         raw = decode_image(file.read_bytes(), file.name, self.path.name)
         if raw.dtype.kind == "f":
@@ -189,21 +202,23 @@ class _Reader:
             return raw.astype(np.float32), True
         return raw.astype(np.float32) / np.iinfo(raw.dtype).max, False
 
-    def _image(self, frame: dict, file: Path) -> np.ndarray:
+    def image(self, frame: dict, file: Path) -> np.ndarray:
         """Premultiplied linear radiance and coverage."""
-        pixels, is_float = self._pixels(file)
+        pixels, is_float = self.pixels(file)
         n = pixels.shape[2]
         color = np.broadcast_to(pixels[..., : 3 if n > 2 else 1], (*pixels.shape[:2], 3))
         space = self.document.get("color_space") or ("linear" if is_float else "srgb")
         premultiplied = (self.document.get("alpha") or ("premultiplied" if is_float else "straight")) == "premultiplied"
         if frame.get("mask_path") is not None:
-            mask, _ = self._pixels(self._file(frame, "mask_path"))
+            mask, _ = self.pixels(self.file(frame, "mask_path"))
             if mask.shape[:2] != pixels.shape[:2]:
                 sizes = " but ".join(f"{x.shape[1]} × {x.shape[0]}" for x in (mask, pixels))
                 raise AssetError(f"{self.path.name}: the mask of '{file.name}' has {sizes} pixels in the image")
             alpha, premultiplied = mask[..., :1] if mask.shape[2] in (1, 3) else mask[..., -1:], False
         elif n in (2, 4):
             alpha = pixels[..., -1:]
+        elif not self.needs_mask:
+            alpha = np.ones_like(pixels[..., :1])
         else:
             raise AssetError(
                 f"{self.path.name}: '{file.name}' has no alpha channel and its frame no 'mask_path'; without either "
@@ -217,7 +232,7 @@ class _Reader:
         alpha = np.clip(alpha, 0, 1)
         return np.concatenate([np.clip(color, 0, 6e4), alpha], axis=2).astype(np.float16)
 
-    def _intrinsics(self, frame: dict, image: np.ndarray, name: str) -> tuple[list[float], list[float]]:
+    def intrinsics(self, frame: dict, image: np.ndarray, name: str) -> tuple[list[float], list[float]]:
         """Focal lengths and principal point [pixels]."""
 
         def get(key: str) -> Any:

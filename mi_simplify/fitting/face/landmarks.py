@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from ..errors import UserError
+from ...errors import UserError
 
 #: Pixels up to which an error of a landmark counts by its square; beyond that by itself.
 _SOFT = 2.0
@@ -100,21 +100,38 @@ def fit_landmarks(
         scale = float(np.nanmedian(np.asarray(depth) / z))
         poses[:, 3:] *= scale
 
+    n_weights, n_marks = len(offsets), len(points)
+    ahead = None if depth is None else focal / np.asarray(depth) / _SOFT  # as far off as the same distance across
+
     def residuals(x: np.ndarray) -> np.ndarray:
         weights, s = x[6 * n + 1 :], np.exp(x[6 * n])
         local = _in_cameras(x[: 6 * n].reshape(n, 6), s * (points + np.tensordot(weights, offsets, axes=1)))
-        z = local[..., 2:]
-        pixels = (focal * local[..., :2] / z + centre - seen) / _SOFT
-        parts = [pixels.ravel(), prior / _SOFT * weights]
-        if depth is not None:  # as far off in pixels as the same distance across the view
-            ahead = focal * (local[..., 2] - depth) / np.asarray(depth) / _SOFT
-            parts.append(np.nan_to_num(ahead).ravel())
+        pixels = (focal * local[..., :2] / local[..., 2:] + centre - seen) / _SOFT
+        far = 1e3 * x[6 * n : 6 * n + 1] if ahead is None else np.nan_to_num(ahead * (local[..., 2] - depth)).ravel()
+        return np.concatenate([pixels.ravel(), prior / _SOFT * weights, far])
+
+    def derivatives(x: np.ndarray) -> np.ndarray:
+        weights, s = x[6 * n + 1 :], np.exp(x[6 * n])
+        turned, shape = x[: 6 * n].reshape(n, 6), s * (points + np.tensordot(weights, offsets, axes=1))
+        local, rotations = _in_cameras(turned, shape), Rotation.from_rotvec(turned[:, :3]).as_matrix()
+        by = np.zeros((n, n_marks, 3, len(x)))  # of the points in the cameras
+        for k, (rotation, vector) in enumerate(zip(rotations, turned[:, :3], strict=True)):
+            by[k, :, :, 6 * k : 6 * k + 3] = -rotation @ _cross(shape) @ _right_jacobian(vector)
+            by[k, :, :, 6 * k + 3 : 6 * k + 6] = np.eye(3)
+            by[k, :, :, 6 * n] = shape @ rotation.T
+            by[k, :, :, 6 * n + 1 :] = s * np.einsum("ij,klj->lik", rotation, offsets)
+        z = local[..., 2, None, None]
+        pixels = focal / _SOFT / z * (by[..., :2, :] - local[..., :2, None] / z * by[..., 2:, :])
+        of_weights = np.zeros((n_weights, len(x)))
+        of_weights[:, 6 * n + 1 :] = prior / _SOFT * np.eye(n_weights)
+        if ahead is None:
+            far = 1e3 * (np.arange(len(x)) == 6 * n)[None].astype(float)
         else:
-            parts.append(1e3 * x[6 * n : 6 * n + 1])
-        return np.concatenate(parts)
+            far = np.nan_to_num(ahead[..., None] * by[..., 2, :]).reshape(-1, len(x))
+        return np.concatenate([pixels.reshape(-1, len(x)), of_weights, far])
 
     start = np.concatenate([poses.ravel(), [np.log(scale)], np.zeros(len(offsets))])
-    found = least_squares(residuals, start, loss="soft_l1", x_scale="jac", max_nfev=40).x
+    found = least_squares(residuals, start, derivatives, loss="soft_l1", x_scale="jac", max_nfev=40).x
     poses, weights, scale = found[: 6 * n].reshape(n, 6), found[6 * n + 1 :], float(np.exp(found[6 * n]))
     local = _in_cameras(poses, scale * (points + np.tensordot(weights, offsets, axes=1)))
     error = np.linalg.norm(focal * local[..., :2] / local[..., 2:] + centre - seen, axis=2).mean()
@@ -137,6 +154,19 @@ def _affine_start(points: np.ndarray, pixels: np.ndarray, focal: float) -> np.nd
 def _in_cameras(poses: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (L, 3) in the frames of cameras, shape (B, L, 3)."""
     return np.einsum("bij,lj->bli", Rotation.from_rotvec(poses[:, :3]).as_matrix(), points) + poses[:, None, 3:]
+
+
+def _cross(v: np.ndarray) -> np.ndarray:
+    """Matrices of the cross product with vectors (..., 3), shape (..., 3, 3)."""
+    return np.cross(v[..., None, :], np.eye(3)).swapaxes(-1, -2)
+
+
+def _right_jacobian(vector: np.ndarray) -> np.ndarray:
+    """J in R(r + dr) = R(r) R(J dr), of a rotation vector."""
+    angle, k = np.linalg.norm(vector), _cross(vector)
+    if angle < 1e-6:
+        return np.eye(3) - k / 2
+    return np.eye(3) - (1 - np.cos(angle)) / angle**2 * k + (angle - np.sin(angle)) / angle**3 * k @ k
 
 
 def aligned(points: np.ndarray, target: np.ndarray, *, with_scale: bool = False) -> np.ndarray:

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mi_simplify.errors import UserError
-from mi_simplify.fitting.landmarks import aligned, fit_landmarks
+from mi_simplify.fitting.face.landmarks import aligned, fit_landmarks
 
 FOCAL, SIZE = 600.0, (480, 640)
 

@@ -1,0 +1,3 @@
+"""
+A morphable face fitted to portraits: landmarks first, then everything at once.
+"""

@@ -1,0 +1,3 @@
+"""
+Faces: morphable models fitted to portraits.
+"""
