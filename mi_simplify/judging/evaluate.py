@@ -20,6 +20,7 @@ from ..machine.files import make_folder
 from ..model.asset import Asset
 from ..model.frame import Frame
 from ..progress import Progress, ProgressCallback, silent
+from .atlas_use import atlas_use
 from .comparison import Comparison, save_comparison
 from .metrics import COVERED, compare
 from .normal_maps import normal_figure
@@ -209,7 +210,7 @@ def _finite(images: np.ndarray, name: str) -> None:
 
 def costs(asset: Asset) -> dict:
     """What a model is made of; of its file, where there is one, the size without those that it names."""
-    used = {instance.part: asset.parts[instance.part] for instance in asset.instances}.values()
+    used = list({instance.part: asset.parts[instance.part] for instance in asset.instances}.values())
     materials = list({id(part.material): part.material for part in used}.values())
     textures = [[x for x in (m.base_color, m.specular, m.normal) if x is not None] for m in materials]
     file = Path(asset.source).absolute()
@@ -219,6 +220,7 @@ def costs(asset: Asset) -> dict:
         "vertices": sum(len(part.vertices) for part in used),
         "materials": len(materials),
         "texels": sum(max(x.shape[0] * x.shape[1] for x in images) for images in textures),
+        **atlas_use(used),
         "file": str(file) if is_file else asset.source or None,
         "bytes": file.stat().st_size if is_file else None,
     }

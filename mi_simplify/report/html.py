@@ -3,8 +3,8 @@ The report of a run: one HTML file that opens anywhere, without a network.
 
 This module says what is in it, ``web/report.html`` how it looks. Every part is a ``<section>`` with an id, every
 picture a ``<figure>`` that says what it shows, and the figures stand once more as JSON in ``#report-data``. The
-scripts, ``page.js``, ``viewer.js`` and ``transfer.js`` of ``web``, are in the page, which permits no others and no
-connection; without them everything but divider, 3D view and player is still there.
+scripts, ``page.js``, ``viewer.js``, ``layout.js`` and ``transfer.js`` of ``web``, are in the page, which permits no
+others and no connection; without them everything but divider, 3D view, UV layout and player is still there.
 """
 
 from __future__ import annotations
@@ -40,11 +40,12 @@ def _size(n_bytes: float) -> str:
     return f"{n_bytes / 1e6:,.1f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:,.1f} kB"
 
 
-COSTS: dict[str, tuple[str, Callable[[Any], str]]] = {
-    "triangles": ("triangles", "{:,}".format), "vertices": ("vertices", "{:,}".format),
-    "texels": ("texels", "{:,}".format), "bytes": ("file", _size),
+COSTS: dict[str, tuple[str, Callable[[Any], str], int]] = {
+    "triangles": ("triangles", "{:,}".format, -1), "vertices": ("vertices", "{:,}".format, -1),
+    "charts": ("charts", "{:,}".format, -1), "fill": ("atlas filled", "{:.0%}".format, +1),
+    "texels": ("texels", "{:,}".format, -1), "bytes": ("file", _size, -1),
 }  # fmt: skip
-"""Heading and format of what a model costs."""
+"""Heading and format of what a model costs, and the sign of better."""
 
 MODES = {"shaded": 0, "shape alone": 5, "base colour": 1, "roughness": 2, "metallic": 3, "normals": 4}
 """What the 3D view shows, as ``web/viewer.js`` numbers it."""
@@ -103,7 +104,7 @@ def report_page(
     models, figures, columns = models or {}, comparison.figures, pictures(comparison)
     names, turning = list(comparison.candidates), viewer_data(models) if models else {}
     is_fit = "run" in figures or len(names) < 2  # the last candidate is what all the others are for
-    drawing = [name for name, is_wanted in (("viewer.js", models), ("transfer.js", player)) if is_wanted]
+    drawing = [*(["viewer.js", "layout.js"] if models else []), *(["transfer.js"] if player else [])]
     scripts = [web_file("page.js"), *(["".join(map(web_file, ["webgl.js", *drawing]))] if drawing else [])]
     return render(
         "report.html",
@@ -115,6 +116,7 @@ def report_page(
         cards=_cards(figures, log) if is_fit else [],
         divider=divider(columns, right=len(names)),
         models=turning.get("models", []),
+        clip=turning.get("clip"),
         modes=MODES,
         shown=_shown(figures) | {"left_out": left_out(comparison)},
         grid=grid(columns, names),
@@ -140,14 +142,15 @@ def _cards(figures: Mapping, log: Sequence[Mapping]) -> list[dict[str, str]]:
     source = figures["reference"]["triangles"]
     share = f"of {source:,}, {100 * last['triangles'] / source:,.1f} %"
     cards = [{"name": "triangles", "value": f"{last['triangles']:,}", "unit": "", "verdict": "", "note": share}]
-    for key in ("vertices", "texels", "bytes"):
+    for key, (head, shown, better) in list(COSTS.items())[1:]:
         now, before = last.get(key), figures["reference"].get(key)
-        if now is not None and before is not None:
-            head, shown = COSTS[key]
-            verdict = "same" if now == before else "good" if now < before else "bad"
-            cards.append(
-                {"name": head, "value": shown(now), "unit": "", "verdict": verdict, "note": f"asset: {shown(before)}"}
-            )
+        if now is None:
+            continue
+        verdict, note = "", ""
+        if before is not None:
+            verdict = "same" if now == before else "good" if better * (now - before) > 0 else "bad"
+            note = f"asset: {shown(before)}"
+        cards.append({"name": head, "value": shown(now), "unit": "", "verdict": verdict, "note": note})
     for key, (name, pattern, unit, better) in FIGURES.items():
         if key not in first or key not in last:
             continue
@@ -178,12 +181,12 @@ def _shown(figures: Mapping) -> dict:
 
 def _table(figures: Mapping) -> dict:
     """The reference and all candidates, one row each: what they cost, and how alike they are."""
-    heads = ["", *(head for head, _ in COSTS.values())]
+    heads = ["", *(head for head, _, _ in COSTS.values())]
     measured = {k: v for k, v in FIGURES.items() if any(k in row for row in figures["candidates"].values())}
     heads += [f"{name} [{unit}]" if unit else name for name, _, unit, _ in measured.values()]
     rows = []
     for name, values in {"reference": figures["reference"], **figures["candidates"]}.items():
-        cells = [form(values[key]) if values.get(key) is not None else "" for key, (_, form) in COSTS.items()]
+        cells = [form(values[key]) if values.get(key) is not None else "" for key, (_, form, _) in COSTS.items()]
         cells += [p.format(values[k]) if k in values else "" for k, (_, p, _, _) in measured.items()]
         rows.append((name, cells))
     return {"heads": heads, "rows": rows}

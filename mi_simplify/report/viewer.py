@@ -19,6 +19,7 @@ from ..model.color import linear_to_srgb
 from ..model.mesh import Mesh
 from ..model.tangents import split_mirrored, vertex_tangents
 from ..scenes.shapes import part_normals
+from .clip import clip_data, pulls, reach
 from .embed import data_uri, packed_array
 
 MOST_TRIANGLES = 250_000
@@ -87,6 +88,8 @@ class Figure:
         The picture.
     id : str
         By which :func:`viewer_data` finds it; empty where it does not.
+    part : int, optional
+        Of the last model, whose texture coordinates look it up.
     """
 
     label: str
@@ -94,6 +97,7 @@ class Figure:
     size: tuple[int, int]
     uri: str
     id: str = ""
+    part: int | None = None
 
 
 def texture_sheets(asset: Asset, maps: Mapping[str, np.ndarray]) -> list[Figure]:
@@ -105,7 +109,7 @@ def texture_sheets(asset: Asset, maps: Mapping[str, np.ndarray]) -> list[Figure]
     for k, material in enumerate(materials):
         for name, sheet in sheets(material, _texture_size(materials)).items():
             label = CHANNELS[name] if len(materials) == 1 else f"{material.name}: {CHANNELS[name]}"
-            figures.append(Figure(label, CHANNELS[name], sheet.size, data_uri(sheet.image), _id(k, name)))
+            figures.append(Figure(label, CHANNELS[name], sheet.size, data_uri(sheet.image), _id(k, name), k))
     for label, image in maps.items():
         height, width = image.shape[:2]
         picture = Image.fromarray(image)
@@ -126,28 +130,27 @@ def viewer_data(models: Mapping[str, Asset]) -> dict:
     Returns
     -------
     dict
-        ``models``, each with ``name``, ``triangles`` and ``parts``, in the frame in which the last one's box has centre
-        0 and a diagonal of 2.
+        ``models``, each with ``name``, ``triangles`` and ``parts``, in the frame in which the last one's box, and that
+        of its clip, has centre 0 and a diagonal of 2; and ``clip``, see :func:`.clip.clip_data`.
     """
     last = list(models)[-1]
-    low, high = models[last].bounds
+    low, high = reach(models[last])
     scale = 2 / np.linalg.norm(high - low)
     to_frame = np.diag([scale, scale, scale, 1.0])
     to_frame[:3, 3] = -scale * (low + high) / 2
+    placed = {name: asset.transformed(to_frame) for name, asset in models.items()}
     return {
         "models": [
-            {
-                "name": name, "triangles": asset.n_triangles,
-                "parts": _parts(asset.transformed(to_frame), embedded=name != last),
-            }
-            for name, asset in models.items()
-        ]
-    }  # fmt: skip
+            {"name": name, "triangles": asset.n_triangles, "parts": _parts(asset, embedded=name != last)}
+            for name, asset in placed.items()
+        ],
+        "clip": clip_data(placed),
+    }
 
 
 def _parts(asset: Asset, embedded: bool) -> list[dict]:
     """One entry a material: geometry, and textures as data URIs or as ids of pictures of the page."""
-    materials, placed = _materials(asset), asset.placed()
+    materials, placed = _materials(asset), list(zip(asset.placed(), asset.instances, strict=True))
     out = []
     for k, material in enumerate(materials):
         if embedded:
@@ -156,13 +159,19 @@ def _parts(asset: Asset, embedded: bool) -> list[dict]:
         else:
             textures = {name: f"#{_id(k, name)}" for name in sheets(material, 1)}
         cutoff = material.alpha_cutoff if material.alpha_mode == "MASK" else 0.0
-        geometry = [_geometry(part) for part in placed if part.material is material]
+        geometry = [
+            _geometry(part, pulls(part, instance.joint) if asset.rig is not None else {})
+            for part, instance in placed
+            if part.material is material
+        ]
         start = np.cumsum([0, *(len(g["positions"]) for g in geometry)])
         joined = {name: np.concatenate([g[name] for g in geometry]) for name in geometry[0] if name != "indices"}
         indices = np.concatenate([g["indices"] + n for g, n in zip(geometry, start, strict=False)])
         joined["indices"] = indices.astype(np.uint16 if start[-1] <= 65535 else np.uint32)
         if (joined["colors"] == 255).all():
             del joined["colors"]
+        if "weights2" in joined and not joined["weights2"].any():
+            del joined["joints2"], joined["weights2"]
         arrays = {name: packed_array(array) for name, array in joined.items()}
         out.append(
             {
@@ -173,10 +182,10 @@ def _parts(asset: Asset, embedded: bool) -> list[dict]:
     return out
 
 
-def _geometry(part: Part) -> dict[str, np.ndarray]:
+def _geometry(part: Part, pulls: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """
     Vertices as the device takes them: float32 positions and UVs, normals and tangents (w: handedness) as 16-bit
-    fractions, sRGB colours as bytes.
+    fractions, sRGB colours as bytes, and which joints pull at them.
     """
     n = len(part.vertices)
     uvs = np.zeros((n, 2), np.float32) if part.uvs is None else part.uvs
@@ -194,6 +203,7 @@ def _geometry(part: Part) -> dict[str, np.ndarray]:
         "uvs": mesh.uvs.astype(np.float32),
         "colors": colors[index],
         "indices": mesh.faces.ravel(),
+        **{name: array[index] for name, array in pulls.items()},
     }
 
 

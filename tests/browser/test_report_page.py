@@ -12,6 +12,7 @@ from PIL import Image
 from mi_simplify.judging.comparison import Comparison
 from mi_simplify.judging.metrics import compare
 from mi_simplify.model.asset import Asset, Instance, Material, Part
+from mi_simplify.model.rig import Rig, Skin
 from mi_simplify.report.html import write_report
 
 RED, GREEN = [0.8, 0.05, 0.05, 1.0], [0.05, 0.6, 0.05, 1.0]
@@ -229,13 +230,13 @@ def test_normal_maps_lean_the_way_that_they_say(browser, tmp_path):
 def test_a_texture_is_enlarged_and_put_back(opened):
     dialog = opened.locator("#enlarged")
     assert not dialog.is_visible()
-    opened.locator("[data-texture=roughness] img").click()
+    opened.locator("[data-texture=roughness] img.zoom").click()
     assert dialog.is_visible()
     assert dialog.locator("p").inner_text() == "roughness, 8 × 8"
-    assert dialog.locator("img").bounding_box()["width"] > 500
+    assert dialog.locator("img").first.bounding_box()["width"] > 500
     dialog.click()
     assert not dialog.is_visible()
-    opened.locator("[data-texture=normal] img").press("Enter")
+    opened.locator("[data-texture=normal] img.zoom").press("Enter")
     assert dialog.is_visible()
     opened.keyboard.press("Escape")
     assert not dialog.is_visible()
@@ -263,3 +264,63 @@ def test_without_webgl_it_says_so(browser, report):
     page.goto(report.as_uri())
     assert page.locator("#viewer .none").is_visible() and not page.locator("#viewer canvas").is_visible()
     context.close()
+
+
+def moving_sphere() -> Asset:
+    """A sphere that one joint carries, and a skin half of which follows another: to the right, in two clips."""
+    ball = sphere(12, GREEN)
+    part, n = ball.parts[0], len(ball.parts[0].vertices)
+    skin = Skin(np.tile([0, 1], (n, 1)), np.full((n, 2), 0.5))
+    poses = np.tile(np.eye(4), (5, 2, 1, 1))
+    poses[2:, :, 0, 3] = [[0, 0], [1.5, 0.5], [4, 0]]  # the mean of both joints is how far the skin goes
+    rig = Rig(
+        ("a", "b"), np.array([-1, 0]), np.tile(np.eye(4), (2, 1, 1)), poses, np.arange(5.0), rate=10.0,
+        clips=(("stand", 0, 2), ("walk", 2, 5)),
+    )  # fmt: skip
+    return Asset((replace(part, skin=skin),), (Instance(0),), name="moving", rig=rig)
+
+
+def test_a_clip_plays_stops_and_goes_to_a_frame(browser, tmp_path):
+    models = {"still": sphere(8, RED), "moving": moving_sphere()}
+    report = write_report(tmp_path / "report.html", comparison(), title="sphere", models=models)
+    for page in page_of(browser, report, width=1366, height=768):
+        slider, play = page.locator("#viewer [name=frame]"), page.locator("#viewer [name=play]")
+        assert not play.is_checked(), "as whoever wants less motion asks"
+        middles = []
+        page.select_option("#viewer [name=clip]", label="walk")
+        assert slider.get_attribute("max") == "4"
+        for frame in (2, 3, 4):
+            slider.fill(str(frame))
+            green = drawn(page)
+            x = np.nonzero(green[..., 1] > green[..., 0] + 20)[1]
+            middles.append((x.min() + x.max()) / 2)
+        steps = np.diff(middles)
+        assert steps[0] > 30 and steps[1] / steps[0] == pytest.approx(1, abs=0.25), "1 each, but perspective"
+        assert page.locator("#viewer output").inner_text() == "3 of 3, 0.20 s"
+        play.check()
+        page.wait_for_selector("#viewer:not([data-frame='4'])")
+        slider.fill("3")
+        assert not play.is_checked()
+
+
+def test_a_model_that_does_not_move_has_no_clip(opened):
+    assert opened.locator("#viewer [name=play]").count() == 0
+
+
+def test_the_uv_layout_lies_over_the_textures(opened):
+    layouts = opened.locator("img.layout[data-part]")
+    assert layouts.count() == 5 and not layouts.first.is_visible()
+    before = picture(opened.locator("[data-texture=roughness] .sheet"))
+    opened.check("#layout")
+    opened.wait_for_selector(".textures figure:last-child img.layout[src]", state="attached")
+    opened.evaluate("Promise.all([...document.querySelectorAll('img.layout[data-part]')].map((i) => i.decode()))")
+    after = picture(opened.locator("[data-texture=roughness] .sheet"))
+    lines = np.abs(after - before).max(2) > 40
+    row = lines[lines.shape[0] // 2 - 8].astype(int)
+    assert 16 <= (np.diff(row) == 1).sum() <= 34, "17 meridians and 16 diagonals, which meet some of them"
+    opened.locator("[data-texture=roughness] img.zoom").click()
+    shown = opened.locator("#enlarged img.layout")
+    assert shown.is_visible() and shown.bounding_box() == opened.locator("#enlarged img").first.bounding_box()
+    opened.keyboard.press("Escape")
+    opened.uncheck("#layout")
+    assert not layouts.first.is_visible()

@@ -16,6 +16,7 @@ from jinja2 import UndefinedError
 from PIL import Image
 
 from mi_simplify.errors import AssetError, OutputError
+from mi_simplify.judging.atlas_use import atlas_use
 from mi_simplify.judging.comparison import Comparison, load_comparison, save_comparison
 from mi_simplify.judging.evaluate import Judging, compare_assets, evaluate
 from mi_simplify.judging.metrics import compare
@@ -198,7 +199,7 @@ def test_report_is_one_well_formed_file(comparison, tmp_path):
     assert "<script>alert" not in text and "&lt;spot&gt;.obj" in text and "49 s" in text
     (data,) = re.findall(r'id="report-data">(.*?)</script>', text)
     assert json.loads(data) == comparison.figures
-    assert text.count("<svg") == 2
+    assert text.count("<svg class=") == 2
 
 
 def test_every_text_of_a_report_is_escaped(comparison, tmp_path):
@@ -458,9 +459,28 @@ def test_an_unwritable_folder_is_found_before_rendering(tmp_path):
 
 def test_costs_stand_beside_the_assets_in_green_or_red():
     reference, result = (
-        {"vertices": v, "texels": 16, "bytes": b, "triangles": 9} for v, b in ((100, 5000), (40, 7000))
+        {"vertices": v, "charts": 3, "fill": f, "texels": 16, "bytes": b, "triangles": 9}
+        for v, f, b in ((100, 0.5, 5000), (40, 0.7, 7000))
     )
     row = result | {"psnr": 30.0, "flip": 0.1, "silhouette_error": 0.01}
     cards = {card["name"]: card for card in _cards({"reference": reference, "candidates": {"result": row}}, [])}
-    assert [cards[name]["verdict"] for name in ("vertices", "texels", "file")] == ["good", "same", "bad"]
+    assert [cards[name]["verdict"] for name in ("vertices", "charts", "atlas filled", "texels", "file")] == [
+        "good", "same", "good", "same", "bad",
+    ]  # fmt: skip
+    assert (cards["atlas filled"]["value"], cards["atlas filled"]["note"]) == ("70%", "asset: 50%")
     assert (cards["file"]["value"], cards["file"]["note"]) == ("7.0 kB", "asset: 5.0 kB")
+
+
+def test_charts_and_fill_of_a_model():
+    quad = np.array([[0, 1, 2], [0, 2, 3]])
+    corners = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    part = Part(np.pad(corners, ((0, 0), (0, 1))), quad, uvs=np.float32(0.5 * corners), material=texture_set())
+    apart = replace(part, uvs=np.float32(0.5 * corners + 0.5))
+    near = pytest.approx  # a centre on an edge between two triangles counts for neither
+    assert atlas_use([part]) == {"charts": 1, "fill": near(0.25, abs=2e-3)}
+    assert atlas_use([part, apart]) == {"charts": 2, "fill": near(0.5, abs=4e-3)}, "in one place of space alone"
+    doubled = replace(part, vertices=part.vertices[quad.ravel()], uvs=part.uvs[quad.ravel()])
+    doubled = replace(doubled, faces=np.arange(6).reshape(2, 3))
+    assert atlas_use([doubled])["charts"] == 1, "vertices of a file may be split without a seam"
+    assert atlas_use([replace(part, uvs=np.float32(3 * corners))]) == {"charts": 1, "fill": None}, "it repeats"
+    assert atlas_use([replace(part, uvs=None)]) == {"charts": None, "fill": None}

@@ -84,11 +84,13 @@
     image.tabIndex = 0;
     image.setAttribute("role", "button");
     const open = () => {
-      const [picture, text] = [dialog.querySelector("img"), dialog.querySelector("p")];
+      const [picture, layout, text] = dialog.querySelectorAll("img, p"), own = image.closest("figure")?.querySelector("img.layout");
       picture.src = image.src;
       picture.alt = image.alt;
       picture.classList.toggle("pixelated", image.naturalWidth < 400);
-      const caption = image.parentElement.querySelector("figcaption")?.textContent;
+      layout.hidden = !own || own.hidden;
+      if (!layout.hidden) layout.src = own.src;
+      const caption = image.closest("figure")?.querySelector("figcaption")?.textContent;
       text.textContent = !caption || caption.startsWith(image.alt) ? caption || image.alt : `${image.alt}: ${caption}`;
       dialog.showModal();
     };

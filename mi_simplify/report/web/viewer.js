@@ -12,17 +12,35 @@
   const data = JSON.parse(document.getElementById("viewer-data").textContent);
 
   const VERTEX = `#version 300 es
-    uniform mat4 toClip;
+    uniform mat4 toClip; uniform bool posed; uniform highp sampler2D pose;
     layout(location = 0) in vec3 position;
     layout(location = 1) in vec4 normal;
     layout(location = 2) in vec4 tangent;
     layout(location = 3) in vec2 uv;
     layout(location = 4) in vec4 color;
+    layout(location = 5) in vec4 joints;
+    layout(location = 6) in vec4 weights;
+    layout(location = 7) in vec4 joints2;
+    layout(location = 8) in vec4 weights2;
     out vec3 p; out vec3 n; out vec4 t; out vec2 st; out vec3 tint;
+    vec4 row(int r) { // of the blend of the joints' matrices
+      vec4 sum = vec4(0);
+      for (int k = 0; k < 4; k++) {
+        if (weights[k] > 0.0) sum += weights[k] * texelFetch(pose, ivec2(r, int(joints[k])), 0);
+        if (weights2[k] > 0.0) sum += weights2[k] * texelFetch(pose, ivec2(r, int(joints2[k])), 0);
+      }
+      return sum;
+    }
     void main() {
       p = position; n = normal.xyz; t = tangent; st = uv;
+      if (posed) {
+        vec4 x = row(0), y = row(1), z = row(2), v = vec4(position, 1.0);
+        p = vec3(dot(x, v), dot(y, v), dot(z, v));
+        t.xyz = vec3(dot(x.xyz, t.xyz), dot(y.xyz, t.xyz), dot(z.xyz, t.xyz));
+        n = vec3(dot(cross(y.xyz, z.xyz), n), dot(cross(z.xyz, x.xyz), n), dot(cross(x.xyz, y.xyz), n));
+      }
       tint = pow(color.rgb, vec3(2.2));
-      gl_Position = toClip * vec4(position, 1.0);
+      gl_Position = toClip * vec4(p, 1.0);
     }`;
 
   // Trowbridge-Reitz with the height-correlated Smith term, Schlick's Fresnel, roughness squared; gamma scales the lobe.
@@ -68,10 +86,10 @@
 
   const program = webgl.program(gl, VERTEX, FRAGMENT);
   const at = (name) => gl.getUniformLocation(program, name);
-  const uniforms = Object.fromEntries(["toClip", "eye", "light", "mode", "cutoff", "blend"].map((k) => [k, at(k)]));
+  const uniforms = Object.fromEntries(["toClip", "eye", "light", "mode", "cutoff", "blend", "posed"].map((k) => [k, at(k)]));
   const UNITS = ["base_color", "opacity", "gamma", "roughness", "metallic", "normal"];
   const DEFAULTS = { opacity: [255, 255, 255], gamma: [0, 0, 0], normal: [128, 128, 255] };
-  UNITS.forEach((name, unit) => gl.uniform1i(at(name), unit));
+  [...UNITS, "pose"].forEach((name, unit) => gl.uniform1i(at(name), unit));
   gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
 
   function texture(name, source) {
@@ -101,6 +119,8 @@
   const ATTRIBUTES = [
     ["positions", 3, gl.FLOAT, false], ["normals", 4, gl.SHORT, true], ["tangents", 4, gl.SHORT, true],
     ["uvs", 2, gl.FLOAT, false], ["colors", 4, gl.UNSIGNED_BYTE, true],
+    ["joints", 4, gl.UNSIGNED_SHORT, false], ["weights", 4, gl.UNSIGNED_SHORT, true],
+    ["joints2", 4, gl.UNSIGNED_SHORT, false], ["weights2", 4, gl.UNSIGNED_SHORT, true],
   ];
   async function upload(part) {
     const names = [...ATTRIBUTES.map(([name]) => name), "indices"].filter((name) => part[name]);
@@ -133,6 +153,8 @@
   async function load(model) {
     loading += 1;
     uploaded.set(model, []);
+    const moves = data.clip && data.clip.joints[model];
+    if (moves) matrices.set(model, new Float32Array(await webgl.unpacked(moves)));
     uploaded.set(model, await Promise.all(data.models[model].parts.map(upload)));
     loading -= 1;
     changed = true;
@@ -140,6 +162,10 @@
 
   let loading = 0, changed = true, visible = true;
   const uploaded = new Map(); // models are uploaded when they are first looked at
+  const matrices = new Map(); // of the joints of those that move: three rows each, frame after frame
+  const pose = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_2D, pose);
+  for (const way of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, way, gl.NEAREST);
   const START = { yaw: 0.6, pitch: 0.3, distance: 2.6 };
   const camera = { ...START }, lamp = { yaw: -0.55, pitch: 0.55 };
   let turning = !matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -176,6 +202,16 @@
     const chosen = Number(modelPicker.value);
     if (!uploaded.has(chosen)) load(chosen);
     gl.vertexAttrib4f(4, 1, 1, 1, 1);
+    for (const location of [5, 6, 7, 8]) gl.vertexAttrib4f(location, 0, 0, 0, 0);
+    const moves = matrices.get(chosen);
+    gl.uniform1i(uniforms.posed, Boolean(moves));
+    if (moves) {
+      const n = moves.length / data.clip.seconds.length; // numbers a frame
+      gl.activeTexture(gl.TEXTURE0 + UNITS.length);
+      gl.bindTexture(gl.TEXTURE_2D, pose);
+      const rows = moves.subarray(n * Number(slider.value), n * (Number(slider.value) + 1));
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 3, n / 12, 0, gl.RGBA, gl.FLOAT, rows);
+    }
     for (const part of uploaded.get(chosen)) {
       gl.bindVertexArray(part.vertices);
       part.textures.forEach((t, unit) => {
@@ -197,8 +233,44 @@
     box.dataset.state = loading ? "loading" : "drawn";
   }
 
+  // The clip: what is chosen of it, from one frame to the next by its own seconds.
+  const [play, clipPicker, slider] = ["play", "clip", "frame"].map((k) => box.querySelector(`[name=${k}]`));
+  let clock = 0;
+  function tell() {
+    const first = Number(slider.min);
+    const [k, n] = [Number(slider.value) - first + 1, Number(slider.max) - first + 1];
+    const seconds = data.clip.seconds[slider.value] - data.clip.seconds[first];
+    box.querySelector("output").textContent = `${k} of ${n}, ${seconds.toFixed(2)} s`;
+    box.dataset.frame = slider.value;
+    changed = true;
+  }
+  function advance(passed) {
+    const at = Number(slider.value), end = Number(slider.max);
+    const long = at < end ? data.clip.seconds[at + 1] - data.clip.seconds[at] : 0;
+    clock += passed;
+    if (clock < long) return;
+    clock = Math.min(clock - long, 0.1);
+    slider.value = at < end ? at + 1 : slider.min;
+    tell();
+  }
+  if (data.clip) {
+    play.checked = turning;
+    slider.addEventListener("input", () => {
+      play.checked = false;
+      tell();
+    });
+    clipPicker.addEventListener("change", () => {
+      const [, first, end] = data.clip.clips[clipPicker.value];
+      Object.assign(slider, { min: first, max: end - 1 });
+      slider.value = first;
+      tell();
+    });
+    tell();
+  }
+
   let last = 0;
   function frame(now) {
+    if (visible && play?.checked) advance(Math.min(0.1, (now - last) / 1000));
     if (turning && visible) {
       camera.yaw += 0.35 * Math.min(0.1, (now - last) / 1000);
       changed = true;
