@@ -1,5 +1,5 @@
 """
-Charts packed into a square by their outlines: turned sixteen ways, set into the lowest place that is free.
+Charts packed into a square by their outlines: turned 32 ways, set into the lowest place that is free.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import MeshError
 
-_TURNS = 16
+_TURNS = 32
 """Rotations that are tried."""
 _CELLS = 512
 """Most cells along a side of the grid in which charts are placed."""
@@ -227,8 +227,8 @@ def _place(shapes: _Shapes, order: np.ndarray, small: np.ndarray, n_cells: int, 
             walled += 1
         free_of = [taken]  # bit p: cells p to p + 2^k - 1 hold something
         best = None
-        for t in range(0, _TURNS, 2 if small[c] else 1):
-            s = c * _TURNS + t
+        shapes_of = range(c * _TURNS, (c + 1) * _TURNS, 2 if small[c] else 1)
+        for s in sorted(shapes_of, key=lambda s: extent[s][1]):  # low ones tend to be best, and others then end early
             width, height = extent[s]
             if width > n_cells:
                 continue
@@ -247,7 +247,7 @@ def _place(shapes: _Shapes, order: np.ndarray, small: np.ndarray, n_cells: int, 
                 if best is not None and score >= best[0]:
                     break
             if best is None or score < best[0]:
-                best = score, t, place
+                best = score, s - c * _TURNS, place
         if best is None:
             return _Placed(at, turn, 4 * n_cells)
         _, t, place = best
