@@ -16,6 +16,7 @@ import numpy as np
 from ..config import Config, load_config
 from ..config.amounts import LEAST_TRIANGLES, GoalSettings
 from ..errors import ConfigError, MeshError
+from ..judging.kept_pictures import KeptPictures
 from ..progress import Progress, ProgressCallback, silent
 from ..subjects import Subject, open_subject
 from .goals import Goal, ScreenSize, goal_of
@@ -45,11 +46,14 @@ class Found:
     goal : Goal
     tried : dict of int to float
         Where first guesses of so many triangles stood on the goal's scale.
+    kept : KeptPictures
+        Of the subject.
     """
 
     config: Config
     goal: Goal
     tried: dict[int, float]
+    kept: KeptPictures
 
 
 def find_budget(config: Config, progress: ProgressCallback = silent) -> Found | None:
@@ -69,7 +73,7 @@ def find_budget(config: Config, progress: ProgressCallback = silent) -> Found | 
     subject = open_subject(goal.prepared(config, open_subject(config)))
     n, tried = least(goal, subject, progress)
     prepared = goal.prepared(config, subject).model_copy(update={"goal": GoalSettings()})
-    return Found(with_budget(prepared, n), goal, tried)
+    return Found(with_budget(prepared, n), goal, tried, subject.kept)
 
 
 def least(

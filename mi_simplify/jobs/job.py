@@ -152,6 +152,8 @@ def _run_job(config: Config, folder: RunFolder, progress: ProgressCallback, inte
         config = found.config
         clock.lap("budget")
     subject = open_subject(config)
+    if found is not None:
+        subject.kept = found.kept
     config, frame = subject.config, subject.frame
     check_footprint(config, subject.geometry)
     carry = Carrier(subject.display, config.export.transfer) if config.export.transfer.write else None

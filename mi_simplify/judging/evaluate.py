@@ -22,6 +22,7 @@ from ..model.frame import Frame
 from ..progress import Progress, ProgressCallback, silent
 from .atlas_use import atlas_use
 from .comparison import Comparison, save_comparison
+from .kept_pictures import KeptPictures
 from .metrics import COVERED, compare
 from .normal_maps import normal_figure
 from .renderers import SKY, opened
@@ -81,6 +82,7 @@ def compare_assets(
     candidates: Mapping[str, Asset],
     judging: Judging = Judging(),
     progress: ProgressCallback | None = None,
+    kept: KeptPictures | None = None,
 ) -> Comparison:
     """
     Render all of them from the same held-out views under the same lights, and measure.
@@ -95,6 +97,8 @@ def compare_assets(
     judging : Judging
     progress : callable, optional
         Told after every image, as stage "evaluate".
+    kept : KeptPictures, optional
+        Those of the reference, which are not rendered again.
 
     Returns
     -------
@@ -112,18 +116,11 @@ def compare_assets(
     frame = Frame.around(reference.bounds)  # any units, and coordinates far from the origin, fit into float32 there
     bounds = frame.normalised(reference).bounds
     views = held_out_views(bounds, judging.n_views, judging.resolution, judging.seed)
-    with opened(judging.renderer, half(judging.spp)) as (make, facts):
+    with opened(judging.renderer, judging.spp) as (make, facts, n):
         target = Rendering(reference, make(reference, frame.matrix))
         others = {name: Rendering(asset, make(asset, frame.matrix)) for name, asset in candidates.items()}
         settings = {**facts, "spp": judging.spp, "seed": judging.seed, "sky": SKY}
-        return compare_renderings(target, others, views, settings, progress)
-
-
-def half(spp: int) -> int:
-    """
-    Samples per pixel of each of the two renderings that make a picture of ``spp``.
-    """
-    return max(1, spp // 2)
+        return compare_renderings(target, others, views, settings, progress, n, kept)
 
 
 @dataclass(frozen=True)
@@ -148,14 +145,17 @@ def compare_renderings(
     views: Views,
     settings: dict,
     progress: ProgressCallback | None = None,
+    n_renderings: int = 2,
+    kept: KeptPictures | None = None,
 ) -> Comparison:
     """
-    Render all of them from the same views, twice each with noise of its own, and measure.
+    Render all of them from the same views, twice each with noise of its own where there is noise, and measure.
 
     Parameters
     ----------
     reference : Rendering
-        Its renderer makes half of the samples of a picture, as those of all candidates do: :func:`half`.
+        Its renderer makes half of the samples of a picture, as those of all candidates do:
+        :func:`.renderers.half`.
     candidates : mapping of str to Rendering
     views : Views
         In the frame of all renderers.
@@ -163,6 +163,10 @@ def compare_renderings(
         How it was rendered, for ``metrics.json``; ``seed`` is that of the renderers' noise.
     progress : callable, optional
         Told after every image, as stage "evaluate".
+    n_renderings : int
+        Of each picture: 2, or 1 where the renderers have no noise and make all samples at once.
+    kept : KeptPictures, optional
+        Those of the reference, which are not rendered again.
 
     Raises
     ------
@@ -172,14 +176,21 @@ def compare_renderings(
     progress = progress or silent
     renderings, n_views, seed = {"": reference, **candidates}, len(views), settings["seed"]
     halves: dict[str, np.ndarray] = {}
-    for name, rendering in renderings.items():
-        halves[name] = pairs = np.empty((2, n_views, views.height, views.width, 4), np.float32)
+    kept = KeptPictures() if kept is None else kept
+
+    def rendered(rendering: Rendering, done: int) -> np.ndarray:
+        pairs = np.empty((n_renderings, n_views, views.height, views.width, 4), np.float32)
         for k in range(n_views):
-            for half in range(2):
+            for half in range(n_renderings):
                 number = (2 * seed + half) * n_views + k
                 pairs[half, k] = rendering.renderer.render(views.take(np.array([k])), number)[0]
-            progress(Progress("evaluate", (len(halves) - 1) * n_views + k + 1, len(renderings) * n_views))
+            progress(Progress("evaluate", done + k + 1, len(renderings) * n_views))
         _finite(pairs, rendering.asset.name)
+        return pairs
+
+    halves[""] = kept.of(views, settings, lambda: rendered(reference, 0))
+    for number, (name, rendering) in enumerate(candidates.items(), 1):
+        halves[name] = rendered(rendering, number * n_views)
     images = {name: pairs.mean(0) for name, pairs in halves.items()}
     target = images.pop("")
     if not (target[..., 3] > COVERED).any():
@@ -188,7 +199,7 @@ def compare_renderings(
             "check its scale, and that it is not fully transparent"
         )
     rows = {
-        name: costs(other.asset) | compare(halves[""], halves[name]) | normal_figure(reference.asset, other.asset)
+        name: costs(other.asset) | _compared(halves[""], halves[name]) | normal_figure(reference.asset, other.asset)
         for name, other in candidates.items()
     }
     figures = {
@@ -198,6 +209,11 @@ def compare_renderings(
         "candidates": rows,
     }
     return Comparison(target, images, figures)
+
+
+def _compared(reference: np.ndarray, candidate: np.ndarray) -> dict:
+    """Figures of pictures of one or two renderings, (N, B, H, W, 4)."""
+    return compare(reference[0], candidate[0]) if len(reference) == 1 else compare(reference, candidate)
 
 
 def _finite(images: np.ndarray, name: str) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 from ..model.asset import Asset, rig_of
 from ..progress import ProgressCallback
 from .comparison import Comparison
-from .evaluate import Judging, Rendering, compare_renderings, half
+from .evaluate import Judging, Rendering, compare_renderings
+from .kept_pictures import KeptPictures
 from .renderers import SKY, opened
 
 if TYPE_CHECKING:  # importing it would need a Mitsuba variant
@@ -27,6 +28,7 @@ def compare_characters(
     frames: np.ndarray,
     judging: Judging = Judging(),
     progress: ProgressCallback | None = None,
+    kept: KeptPictures | None = None,
 ) -> Comparison:
     """
     :func:`.evaluate.compare_assets` over frames of a clip: each view shows one of them, in turn.
@@ -39,7 +41,7 @@ def compare_characters(
         Those with a rig are posed at the same seconds of their clip, others stand as they are.
     frames : ndarray, shape (N,)
         Of the reference's clip; spread over the views where there are more of them.
-    judging, progress
+    judging, progress, kept
         As for :func:`.evaluate.compare_assets`.
 
     Returns
@@ -52,7 +54,7 @@ def compare_characters(
     views = _views(reference, shown, judging.resolution, judging.seed)
     rig = rig_of(reference)
     codes = [float(rig.codes[int(f)]) for f in shown]
-    with opened(judging.renderer, half(judging.spp)) as (make, facts):
+    with opened(judging.renderer, judging.spp) as (make, facts, n):
         others = {}
         for name, asset in candidates.items():
             renderer = make(asset, np.eye(4))
@@ -61,7 +63,7 @@ def compare_characters(
             others[name] = Rendering(asset, renderer)
         settings = {**facts, "spp": judging.spp, "seed": judging.seed, "sky": SKY, "frames": codes}
         target = Rendering(reference, make(reference, np.eye(4)))
-        comparison = compare_renderings(target, others, views, settings, progress)
+        comparison = compare_renderings(target, others, views, settings, progress, n, kept)
     rows = comparison.figures["candidates"]
     rows = {name: row | _per_frame(row["per_view"], shown, frames) for name, row in rows.items()}
     return replace(comparison, figures={**comparison.figures, "candidates": rows})

@@ -29,17 +29,25 @@ Opened = Callable[[Asset, np.ndarray], "Reference"]
 """Of an asset, and the (4, 4) from its units to those of the views: its renderer, in their point light and the sky."""
 
 
-@contextmanager
-def opened(renderer: str, spp: int) -> Iterator[tuple[Opened, dict]]:
+def half(spp: int) -> int:
     """
-    What makes renderers of assets, and how they are named in ``settings`` of figures; closed afterwards.
+    Samples per pixel of each of the two renderings that make a picture of ``spp``.
+    """
+    return max(1, spp // 2)
+
+
+@contextmanager
+def opened(renderer: str, spp: int) -> Iterator[tuple[Opened, dict, int]]:
+    """
+    What makes renderers of assets, how they are named in ``settings`` of figures, and how many of their renderings make
+    a picture: two with noise of their own, or one without any. Closed afterwards.
 
     Parameters
     ----------
     renderer : str
         One of :data:`RENDERERS`.
     spp : int
-        Samples per pixel.
+        Samples per pixel of a picture.
 
     Raises
     ------
@@ -50,7 +58,7 @@ def opened(renderer: str, spp: int) -> Iterator[tuple[Opened, dict]]:
         from mitsuba import __version__ as version
 
         settings = {"renderer": f"Mitsuba {version}, path tracer", "max_depth": MAX_DEPTH}
-        yield lambda asset, to_views: PathTraced(asset.transformed(to_views), spp), settings
+        yield lambda asset, to_views: PathTraced(asset.transformed(to_views), half(spp)), settings, 2
         return
     from .three.chromium import chromium
     from .three.package import three_folder, three_version
@@ -61,7 +69,7 @@ def opened(renderer: str, spp: int) -> Iterator[tuple[Opened, dict]]:
     with chromium("--renderer three") as browser:
         settings = {"renderer": f"three.js {version} in Chromium {browser.version.split('.')[0]}"}
         page = ThreePage(browser)
-        yield lambda asset, to_views: ThreeRenderer(page, asset, spp, SKY, to_views), settings
+        yield lambda asset, to_views: ThreeRenderer(page, asset, spp, SKY, to_views), settings, 1
 
 
 class PathTraced:

@@ -123,7 +123,7 @@ class Character(Subject):
         """
         See :class:`.subject.Subject`: candidates are posed in the same frames.
         """
-        return compare_characters(self.geometry, candidates, self.judged, judging, progress)
+        return compare_characters(self.geometry, candidates, self.judged, judging, progress, self.kept)
 
 
 def split_frames(rig: Rig, animation: AnimationSettings) -> tuple[np.ndarray, np.ndarray]:

@@ -35,5 +35,5 @@ class ModelFile(Still):
     ) -> Comparison:
         """See :class:`.subject.Subject`: relit, or in the light that was fitted where the configuration says so."""
         if self.config.evaluation.light == "relit":
-            return compare_assets(self.geometry, candidates, judging, progress)
+            return compare_assets(self.geometry, candidates, judging, progress, self.kept)
         return self._judged_in_its_own_light(candidates, judging, progress)

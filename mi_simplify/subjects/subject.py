@@ -27,7 +27,9 @@ from ..initial.guess import first_guess
 from ..initial.nodes import kept_nodes, require_no_nodes
 from ..initial.quadrics import quadrics_only
 from ..judging.comparison import Comparison
-from ..judging.evaluate import Judging, Rendering, compare_renderings, half
+from ..judging.evaluate import Judging, Rendering, compare_renderings
+from ..judging.kept_pictures import KeptPictures
+from ..judging.renderers import half
 from ..model.asset import Asset
 from ..model.frame import Frame
 from ..model.light.environment_map import as_map, resized
@@ -65,6 +67,8 @@ class Subject(ABC):
         What the fit sees of the geometry: of instances of a mesh that stay instances the first.
     frame : Frame
         The normalised frame, in which it is fitted.
+    kept : KeptPictures
+        Of what is judged by, over all judgements; those of the same input may be shared.
     """
 
     #: Whether nodes of its file can be kept: it is fitted to a rendering of ``shown``.
@@ -81,7 +85,7 @@ class Subject(ABC):
             initial = self.config.initial.model_copy(update={"keep_nodes": "none"})
             self.config, kept = self.config.model_copy(update={"initial": initial}), None
         self.shown = geometry if kept is None else kept.single
-        self.frame = Frame.around(self.shown.bounds)
+        self.frame, self.kept = Frame.around(self.shown.bounds), KeptPictures()
 
     @property
     @abstractmethod

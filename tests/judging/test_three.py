@@ -25,9 +25,10 @@ def renderer():
     """Makes renderers of assets that share a page; skips where this machine has no Chromium or no three.js."""
     with ExitStack() as stack:
         try:
-            make, _ = stack.enter_context(opened("three", 16))
+            make, _, n = stack.enter_context(opened("three", 16))
         except RuntimeUnavailable as error:
             pytest.skip(str(error))
+        assert n == 1, "there is no noise that a second rendering would tell from the difference"
         yield lambda asset: make(asset, np.eye(4))
 
 
