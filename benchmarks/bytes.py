@@ -23,6 +23,7 @@ from mi_simplify.formats.packing import pack_textures
 from mi_simplify.formats.pixels.basisu import PROGRAM
 from mi_simplify.jobs.byte_budget import within_bytes
 from mi_simplify.judging.evaluate import Judging
+from mi_simplify.judging.renderers import RENDERERS
 from mi_simplify.model.model import Model
 from mi_simplify.subjects import open_subject
 
@@ -31,6 +32,7 @@ PACKINGS = {
     "PNG, meshopt": GlbSettings(compress="meshopt"),
     "WebP lossless, meshopt": GlbSettings(compress="meshopt", textures="webp", quality=100),
     "WebP 90, data 95, meshopt": GlbSettings(compress="meshopt", textures="webp", data_quality=95),
+    "WebP 95, data 90, meshopt": GlbSettings(compress="meshopt", textures="webp", quality=95, data_quality=90),
     "WebP 80, data 80, meshopt": GlbSettings(compress="meshopt", textures="webp", quality=80, data_quality=80),
     "KTX2 UASTC, meshopt": GlbSettings(compress="meshopt", textures="ktx2", quality=95, data_quality=95),
     "KTX2 ETC1S, meshopt": GlbSettings(compress="meshopt", textures="ktx2", quality=80, data_quality=80),
@@ -41,16 +43,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("assets", nargs="+", help="each with its budget: FILE:TRIANGLES")
     parser.add_argument("--shares", default="4,8,16", help="parts of the file of PNGs that --max-bytes is asked for")
+    parser.add_argument("--renderer", choices=RENDERERS, default="mitsuba", help="what judges")
     parser.add_argument("--out", type=Path, default=Path("out") / "bytes")
     parser.add_argument("--set", nargs="*", default=[], help="configuration keys")
     args = parser.parse_args()
     for named in args.assets:
         name, triangles = named.rsplit(":", 1)
         config = ms.load_config(None, [f"asset={name}", f"initial.triangles={triangles}", *args.set])
-        table(config, [float(x) for x in args.shares.split(",")], args.out / Path(name.replace(":", "_")).stem)
+        shares = [float(x) for x in args.shares.split(",")]
+        table(config, shares, args.out / Path(name.replace(":", "_")).stem, args.renderer)
 
 
-def table(config: ms.Config, shares: list[float], out: Path) -> None:
+def table(config: ms.Config, shares: list[float], out: Path, renderer: str) -> None:
     """One asset: its files, and a row for each."""
     ms.ensure_variant(config.variant)
     subject = open_subject(config)
@@ -78,7 +82,7 @@ def table(config: ms.Config, shares: list[float], out: Path) -> None:
         file = write_glb(model, out / f"{name.replace('/', '_')}.glb", settings=packing)
         candidates[name] = ms.load_asset(file)
         rows[name] = [f"{file.stat().st_size / 1000:.1f}", f"{file.stat().st_size / full:.3f}", gpu(model, packing)]
-    judged = subject.judge(candidates, dataclasses.replace(Judging.of(config)))
+    judged = subject.judge(candidates, dataclasses.replace(Judging.of(config), renderer=renderer))
     print(f"\n{subject.geometry.name}, {model.n_triangles} triangles, atlas of {model.base_color.shape[0]}²\n")
     print("| | kB | share | textures on the GPU [kB] | PSNR [dB] | FLIP |\n|---|---|---|---|---|---|")
     for name, row in rows.items():

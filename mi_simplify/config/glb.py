@@ -37,7 +37,13 @@ class GlbSettings(Section):
         description="Of images of colours that are not PNG; 100: lossless in WebP. KTX2 is UASTC from 95 on, else "
         "ETC1S.",
     )
-    data_quality: int = Field(100, ge=1, le=100, description="The same, of normals, roughness and metalness.")
+    data_quality: int = Field(
+        100,
+        ge=1,
+        le=100,
+        description="The same, of normals, roughness and metalness. From 80 on WebP rounds normals to "
+        "steps and stores these losslessly.",
+    )
     color_size: int | None = Field(
         None,
         ge=4,

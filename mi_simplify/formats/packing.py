@@ -17,7 +17,7 @@ from ..model.color import linear_to_srgb, srgb_to_linear
 from ..model.mips import filtered_levels, halved
 from ..model.model import Model
 from .pixels.basisu import encode_basis
-from .pixels.lossy import encode_jpeg, encode_webp
+from .pixels.lossy import encode_jpeg, encode_webp, encode_webp_normals
 from .pixels.png import SMALL, encode_png
 from .textures import Textures, encode_textures, to_8bit
 
@@ -247,7 +247,8 @@ def _encoded(chain: Iterator[np.ndarray], settings: GlbSettings, name: str, leve
         mips = [np.repeat(x[..., None], 3, axis=2) if x.ndim == 2 else x for x in (image, *chain)]
         content, mime = encode_basis(mips, quality, data=data), "image/ktx2"
     elif settings.textures == "webp":
-        content, mime = encode_webp(image, quality), "image/webp"
+        encode = encode_webp_normals if name == "normal" else encode_webp
+        content, mime = encode(image, quality), "image/webp"
     elif settings.textures == "jpeg" and (image.ndim == 2 or image.shape[2] == 3):
         content, mime = encode_jpeg(image, quality, data=data), "image/jpeg"
     else:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 from support.paths import ROOT
 from support.tiny_meshes import charted_sphere
 
@@ -24,6 +25,7 @@ from mi_simplify.formats.gltf.write import glb_bytes
 from mi_simplify.formats.images import decode_image
 from mi_simplify.formats.load import load_asset
 from mi_simplify.formats.packing import pack_textures
+from mi_simplify.formats.pixels.lossy import encode_webp, encode_webp_normals
 from mi_simplify.formats.pixels.png import encode_png
 from mi_simplify.model.color import linear_to_srgb
 from mi_simplify.model.mips import filtered_levels
@@ -264,3 +266,28 @@ def test_png_is_exact_and_smaller_than_pillows(channels):
     stream = io.BytesIO()
     Image.fromarray(image[..., 0] if channels == 1 else image).save(stream, "PNG")
     assert len(content) < len(stream.getvalue())
+
+
+def test_coarser_normal_maps_keep_directions_that_lossy_webp_smears():
+    rng = np.random.default_rng(0)
+    waves = [gaussian_filter(rng.standard_normal((128, 128)), 1.5) for _ in range(2)]
+    normals = np.stack([*(0.25 * x / x.std() for x in waves), np.ones((128, 128))], 2)
+    normals[:40] = [0, 0, 1]
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    image = np.rint(127.5 + 127.5 * normals).astype(np.uint8)
+    image[:40] = [128, 128, 255]
+
+    def stored(content: bytes) -> tuple[int, np.ndarray, float]:
+        pixels = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+        n = pixels / 127.5 - 1
+        cosine = (n * normals).sum(2) / np.linalg.norm(n, axis=2)
+        return len(content), pixels, float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))[40:].mean())
+
+    found = {quality: stored(encode_webp_normals(image, quality)) for quality in (100, 95, 90, 80)}
+    sizes, angles = ([row[k] for row in found.values()] for k in (0, 2))
+    assert sizes == sorted(sizes, reverse=True) and angles == sorted(angles)
+    lossy = stored(encode_webp(image, 98))
+    assert found[90][2] < lossy[2] / 2 and found[80][0] < 1.5 * lossy[0] and found[80][2] < lossy[2]
+    for _, pixels, _ in found.values():
+        assert (pixels[:40] == [128, 128, 255]).all(), "what is flat stays flat"
+    assert encode_webp_normals(image, 60) == encode_webp(image, 60)
