@@ -31,6 +31,7 @@ from .morphs import carried_morphs
 from .nodes import kept_nodes
 from .reduce.cleanup import clean
 from .reduce.reduced import reduced, reduced_apart
+from .reduce.visibility import visibility
 from .repair.kept import keep_mesh
 from .soup import merge
 from .sphere import sphere
@@ -40,6 +41,8 @@ log = logging.getLogger("mi_simplify")
 
 #: Points a side that are baked for every texel.
 _SAMPLES = 2
+_UNSEEN = 0.02
+"""What the normals of a hidden face count against those of one on a convex body."""
 
 
 def first_guess(
@@ -201,9 +204,10 @@ def unwrapped(
     """
     A welded mesh with charts and creases as the settings have them, see :func:`unwrap`, and notes.
     """
+    seen = None if hard is None else np.maximum(visibility(positions, faces)[faces].mean(1), _UNSEEN)
     return unwrap(
         positions, faces, atlas_size=settings.atlas_side, padding=settings.padding, crease_angle=settings.crease_angle,
-        hard=hard, split=1.0 if hard is None else settings.vertices_per_position,
+        hard=hard, split=settings.vertices_per_position, weights=seen,
     )  # fmt: skip
 
 

@@ -31,6 +31,7 @@ def unwrap(
     crease_angle: float = 180.0,
     hard: np.ndarray | None = None,
     split: float = 1.0,
+    weights: np.ndarray | None = None,
 ) -> tuple[Mesh, list[str]]:
     """
     Cut a mesh into charts and pack them into one square texture without overlap.
@@ -51,7 +52,10 @@ def unwrap(
         Edges, from corner k to corner k + 1, at which a crease may run inside a chart; elsewhere one runs along the
         borders of charts only, where it costs no vertex. Everywhere if not given.
     split : float
-        Vertices a position up to which further ones get two normals, see :func:`.splits.split_where_it_pays`.
+        Vertices a position up to which further ones get two normals, see :func:`.splits.split_where_it_pays`. Only with
+        ``hard``.
+    weights : ndarray, shape (F,), optional
+        How much the normals of a face count there, beside its area.
 
     Returns
     -------
@@ -77,7 +81,8 @@ def unwrap(
     uvs[:, 1] = atlas_size - uvs[:, 1]  # the charts were wound for v up
     mesh = Mesh(positions, place, (uvs / atlas_size).astype(np.float32), chart_faces)
     mesh = creased(mesh, crease_angle, hard)
-    mesh = split_where_it_pays(mesh, crease_angle, int(split * len(np.unique(faces))))
+    if hard is not None:
+        mesh = split_where_it_pays(mesh, crease_angle, int(split * len(np.unique(faces))), weights)
     return mesh, check(mesh, atlas_size)
 
 

@@ -13,8 +13,8 @@ from ...model.mesh import Mesh
 from ...model.topology import area_vectors, normal_groups
 from ..manifold import edge_pairs
 
-_ROUNDS = 5
-"""Of assigning faces to the closer one of two normals; they hardly move after two."""
+_ROUNDS = 6
+"""Of fitting normals, and of assigning corners to the closer one of two; both hardly move after three."""
 
 
 def creased(mesh: Mesh, angle: float, hard: np.ndarray | None) -> Mesh:
@@ -36,34 +36,46 @@ def creased(mesh: Mesh, angle: float, hard: np.ndarray | None) -> Mesh:
     return _with_vertices(mesh, groups.ravel(), lambda of, group: group)
 
 
-def split_where_it_pays(mesh: Mesh, angle: float, vertices: int) -> Mesh:
+def split_where_it_pays(mesh: Mesh, angle: float, vertices: int, weights: np.ndarray | None = None) -> Mesh:
     """
-    Split vertices, whose faces then share two normals instead of one, until there are as many as asked for.
+    A normal for every vertex, also along seams, and vertices split in two until there are as many as asked for.
 
-    A normal n of faces of areas A and normals m costs Σ A (1 - n·m), which is least for n along s = Σ A m. Splitting
-    a vertex so that s = a + b then saves ‖a‖ + ‖b‖ - ‖s‖; those go first that save most. Path tracers cut light and
-    view at the interpolated normal's horizon, so that large faces far from their normal come out dark, and no normal
-    map mends that.
+    Normals whose linear interpolation misses those of the faces least, in the mean square over the surface, are linear
+    least squares (see :func:`...model.topology.fitted_normals`); in it each corner asks its vertex for one normal, with
+    the others as they are, and two normals instead of one for a vertex save what its corners' wishes lie apart. Those
+    are split first that save most. Path tracers cut light and view at the interpolated normal's horizon, so that large
+    faces far from their normal come out dark, and no normal map mends that.
 
     Parameters
     ----------
     mesh : Mesh
     angle : float
-        The two normals lie further apart than this [degrees]; at 180 nothing is split.
+        The two normals lie further apart than this [degrees]; at 180 the mesh is returned as it is.
     vertices : int
-        Of the result; a mesh that has more already is returned as it is.
+        Of the result; a mesh that has more already is not split.
+    weights : ndarray, shape (F,), optional
+        What a face counts beside its area, such as how much of it is seen.
 
     Returns
     -------
     Mesh
-        The same faces and texture coordinates. The faces of a vertex that was not split keep their normal.
+        The same faces and texture coordinates.
     """
-    of = mesh.faces.ravel().copy()  # vertex of every corner
-    vectors = np.repeat(area_vectors(mesh.positions[mesh.position_faces]), 3, axis=0)
-    left, count = vertices - len(mesh.uvs), len(mesh.uvs)
-    while left > 0:
-        second, saved = _halves(of, vectors, count, np.cos(np.radians(angle)))
-        # A few at a time: halves can be split again.
+    if angle >= 180:
+        return mesh
+    vectors = area_vectors(mesh.positions[mesh.position_faces])
+    area = np.linalg.norm(vectors, axis=1)
+    normal = vectors / np.maximum(area, 1e-300)[:, None]
+    area = area if weights is None else area * weights
+    weight, of, count = np.repeat(area, 3), mesh.faces.ravel().copy(), len(mesh.uvs)
+    own = np.zeros((count, 3))
+    while True:
+        own, wish = _fitted(of, normal, area, own)
+        left = vertices - count
+        if left <= 0:
+            break
+        second, saved = _halves(of, wish, weight, count, np.cos(np.radians(angle)))
+        # A few at a time: halves can be split again, and their neighbours wish for other normals then.
         best = np.argsort(-saved, kind="stable")[: max(1, left // 3)]
         best = best[saved[best] > 1e-9 * saved.sum()]
         if not len(best):
@@ -72,39 +84,51 @@ def split_where_it_pays(mesh: Mesh, angle: float, vertices: int) -> Mesh:
         fresh[best] = count + np.arange(len(best))
         moved = second & (fresh[of] >= 0)
         of[moved] = fresh[of[moved]]
-        count, left = count + len(best), left - len(best)
-    if count == len(mesh.uvs):
-        return mesh
-
-    def number(vertex: np.ndarray, part: np.ndarray) -> np.ndarray:
-        split = np.bincount(vertex, minlength=len(mesh.uvs))[vertex] > 1
-        rows = np.stack([mesh.normal_groups[vertex], np.where(split, part + 1, 0)], 1)
-        return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
-
-    return _with_vertices(mesh, of, number)
+        own, count = np.concatenate([own, own[best]]), count + len(best)
+    return _with_vertices(mesh, of, lambda vertex, part: np.arange(len(part)))
 
 
-def _halves(of: np.ndarray, vectors: np.ndarray, n: int, least: float) -> tuple[np.ndarray, np.ndarray]:
+def _fitted(of: np.ndarray, normal: np.ndarray, area: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Normals of the vertices, (n, 3), not of unit length, begun at ``own``, and what each corner wishes for, (3 F, 3):
+    the mean square of m - Σ b_k n_k over a triangle is, up to a factor, Σ d_k² + (Σ d_k)² of d_k = m - n_k.
+    """
+    n = len(own)
+    total = np.maximum(np.bincount(of, np.repeat(area, 3), n), 1e-300)[:, None]
+    for _ in range(_ROUNDS):
+        corner = own[of].reshape(-1, 3, 3)
+        missed = normal[:, None] - (corner + corner.sum(1, keepdims=True)) / 4
+        own = own + _sums(of, (area[:, None, None] * missed).reshape(-1, 3), n) / total
+    short = normal[:, None] - own[of].reshape(-1, 3, 3)
+    wish = normal[:, None] + (short.sum(1, keepdims=True) - short) / 2
+    return own, wish.reshape(-1, 3)
+
+
+def _halves(
+    of: np.ndarray, wish: np.ndarray, weight: np.ndarray, n: int, least: float
+) -> tuple[np.ndarray, np.ndarray]:
     """
     Which corners are in the second of two parts of their vertex, shape (3 F,), bool, and what the parting saves, shape
-    (n,): two means of directions, begun across the widest spread. 0 where the cosine between them is above ``least``.
+    (n,): two means, begun across the widest spread. 0 where the cosine between them is above ``least``.
     """
-    length = np.linalg.norm(vectors, axis=1)
-    unit = vectors / np.maximum(length, 1e-300)[:, None]
-    weight = np.maximum(np.bincount(of, length, n), 1e-300)
-    total = _sums(of, vectors, n)
-    mean = total / weight[:, None]
-    away = unit - mean[of]
-    spread = _sums(of, (length[:, None, None] * away[:, :, None] * away[:, None, :]).reshape(-1, 9), n)
-    axis = np.linalg.eigh((spread / weight[:, None]).reshape(-1, 3, 3))[1][..., 2]
+    weights, middle = _mean(of, wish, weight, n)
+    weights = np.maximum(weights, 1e-300)
+    away = wish - middle[of]
+    spread = _sums(of, (weight[:, None, None] * away[:, :, None] * away[:, None, :]).reshape(-1, 9), n)
+    axis = np.linalg.eigh((spread / weights[:, None]).reshape(-1, 3, 3))[1][..., 2]
     second = np.einsum("ci,ci->c", away, axis[of]) > 0
     for _ in range(_ROUNDS):
-        b = _unit(_sums(of[second], vectors[second], n))
-        a = _unit(_sums(of[~second], vectors[~second], n))
-        second = np.einsum("ci,ci->c", unit, (b - a)[of]) > 0
-    b, a = _sums(of[second], vectors[second], n), _sums(of[~second], vectors[~second], n)
-    saved = np.linalg.norm(a, axis=1) + np.linalg.norm(b, axis=1) - np.linalg.norm(total, axis=1)
-    return second, np.where(np.einsum("vi,vi->v", _unit(a), _unit(b)) < least, np.maximum(saved, 0), 0)
+        a, b = (_mean(of[part], wish[part], weight[part], n)[1] for part in (~second, second))
+        second = np.sum((wish - b[of]) ** 2 - (wish - a[of]) ** 2, axis=1) < 0
+    (in_a, a), (in_b, b) = (_mean(of[part], wish[part], weight[part], n) for part in (~second, second))
+    saved = in_a * in_b / weights * np.sum((a - b) ** 2, axis=1)  # 0 where either part is empty
+    return second, np.where(np.einsum("vi,vi->v", _unit(a), _unit(b)) < least, saved, 0)
+
+
+def _mean(of: np.ndarray, values: np.ndarray, weight: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (n,) and weighted means (n, K) of rows (C, K) that belong to one vertex each."""
+    total = np.bincount(of, weight, n)
+    return total, _sums(of, weight[:, None] * values, n) / np.maximum(total, 1e-300)[:, None]
 
 
 def _sums(of: np.ndarray, values: np.ndarray, n: int) -> np.ndarray:
