@@ -81,11 +81,11 @@ class InitialSettings(Section):
         "the asset has a hard edge, where a chart ends, and where `vertices_per_position` leaves room.",
     )
     vertices_per_position: float = Field(
-        1.5,
+        1.7,
         ge=1,
         le=6,
-        description="Vertices a position, as files have them, up to which normals are split where faces are furthest "
-        "from their shared one, by area; seams and hard edges of the asset may take more. Only with `creases: asset`.",
+        description="Vertices a position, as files have them, up to which normals are split where faces that are seen "
+        "are furthest from them; seams and hard edges of the asset may take more. Only with `creases: asset`.",
     )
     padding: int = Field(4, ge=1, le=64, description="Empty texels between charts.")
     textures: Literal["bake", "constant", "random"] = Field(
