@@ -3,7 +3,7 @@ Three estimators of visibility gradients side by side: `direct_edge` and Mitsuba
 `prb_projective`.
 
     python benchmarks/estimators.py                      # both parts, written into docs/estimators.md
-    python benchmarks/estimators.py --part figure --only cube --rounds 4 --dry
+    python benchmarks/estimators.py --part figure --only cube --rounds 4 --share 1 --dry
     python benchmarks/estimators.py --part table --only "principled; thinlens" --dry
 
 The *table* has scenes of Mitsuba's own BSDFs, sensors, films and lights, each beside finite differences. The *figure*
@@ -104,9 +104,8 @@ class Row:
         return self.variance[k] * self.seconds[k] / (self.variance[0] * self.seconds[0])
 
 
-def _estimators(plugin: Plugin, adjoint: np.ndarray, samples: int) -> list[Callable]:
+def _estimators(plugin: Plugin, adjoint: np.ndarray, samples: int, edges: int) -> list[Callable]:
     """Gradients by positions, of a state and a seed, in the order of :data:`ESTIMATORS`."""
-    edges = int(samples * SHARE)
     others = [rival(name, samples, edges=edges) for name in ESTIMATORS[1:]]
 
     def ours(state, seed):
@@ -118,14 +117,14 @@ def _estimators(plugin: Plugin, adjoint: np.ndarray, samples: int) -> list[Calla
     return [ours, *map(theirs, others)]
 
 
-def measure(name: str, rounds: int, samples: int = SAMPLES) -> Row:
+def measure(name: str, rounds: int, samples: int = SAMPLES, share: float = SHARE) -> Row:
     """
     One scene: ``rounds`` gradients for variance and time, as many differences and places for bias.
     """
     scene = _enlarged(name)
-    plugin = Plugin(scene, bsdf=SCENES[name])
+    plugin = Plugin(scene, bsdf=SCENES[name], edge_fraction=share)
     adjoint = scenes.film_weights(scene, 1) * np.float32([1, 1, 1, 0])
-    estimators = _estimators(plugin, adjoint, samples)
+    estimators = _estimators(plugin, adjoint, samples, max(1, int(samples * share)))
     for estimator in estimators:  # compiles
         estimator(plugin.start, 0)
         estimator(plugin.start, 1)
@@ -298,6 +297,7 @@ def main() -> None:
     parser.add_argument("--only", help="scenes, separated by semicolons")
     parser.add_argument("--rounds", type=int, default=8, help="gradients of an estimator, least number of differences")
     parser.add_argument("--samples", type=int, default=SAMPLES, help="camera samples of a pixel, in the figure")
+    parser.add_argument("--share", type=float, default=SHARE, help="edge samples for a camera sample, in the figure")
     parser.add_argument("--dry", action="store_true", help="print, but leave page and figure alone")
     options = parser.parse_args()
     mi.set_log_level(mi.LogLevel.Error)
@@ -307,7 +307,7 @@ def main() -> None:
         print(", ".join(f"{kind}: {1000 * s:.0f} ms" for kind, s in costs.items()), flush=True)
         rows = []
         for name in wanted or SCENES:
-            rows.append(measure(name, options.rounds, options.samples))
+            rows.append(measure(name, options.rounds, options.samples, options.share))
             print("\n".join(table(rows[-1:])), flush=True)
         print(figure_block(rows, costs), flush=True)
         if not options.dry:
@@ -321,8 +321,8 @@ def main() -> None:
                 measure_beside(title, repeats=max(2, options.rounds // 2), rounds=(options.rounds, 4 * options.rounds)),
             )
             print("\n".join(lines[-2:]), flush=True)
-        if not options.dry:
-            write("table", beside_block(lines))
+            if not options.dry:
+                write("table", beside_block(lines))
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
       2018);
     * inside faces, the curve where the interpolated normal turns away from the viewer: there Mitsuba's BSDFs and area
       emitters turn black (`ggx_gamma` does not, and is spared);
-    * borders of the shadows of point and spot lights, and of directional ones, for which 3 % have been seen to be
+    * borders of the shadows of point and spot lights, and of directional ones, for which 2 % have been seen to be
       missing.
 
     Sensors: `perspective` with any principal point, `thinlens`, `orthographic`, `batch` of them; crop windows,
