@@ -54,8 +54,8 @@ mode equals backward mode to float precision (a test).
 
 `direct_projective` is Mitsuba's own estimator (`sppi` 0: no shadow borders), compared on colour alone since it has
 no derivative of alpha, and relative to |difference|: where that nearly vanishes, percents say little. The light stands
-at the camera, so that no shadow is seen and both render the same image. [Another page](estimators.md) has bias, variance
-and time of both, and of `prb_projective`.
+at the camera, so that no shadow is seen and both render the same image. [Another page](estimators.md) has bias,
+variance and time of both, and of `prb_projective`.
 """
 
 LIMITS = """## What is not covered
@@ -65,7 +65,7 @@ LIMITS = """## What is not covered
   turns the normal away, the image jumps inside a face. Without a map the curve is sampled. `ggx_gamma` has no jump.
 - **Shadow borders of area lights and environments** (`shadows: true`): visibility of the light is a constant. A warning
   says so once. Those of point, spot and directional lights are sampled; growth of a ball before a wall in the sun is
-  2.1 ± .4 % off (240 rounds; silhouette and shadows nearly cancel there), for a reason not found.
+  2.1 ± .4 % off (240 rounds; what it does inside and at the outline nearly cancels), for a reason not found.
 - **Smooth normals in shadow** (`shadows: true`): a face that turns away from the light while its interpolated normals
   are still lit gets dark all at once, in Mitsuba's own renderings as well; a derivative has no such jump.
 - **Area lights on moving smooth meshes**: what they throw onto other surfaces jumps where their normals face away.
