@@ -50,8 +50,8 @@ def missing_texture(folder: Path) -> str:
 
 
 def unknown_format(folder: Path) -> str:
-    (folder / "model.fbx").write_bytes(b"Kaydara FBX Binary")
-    return "model.fbx"
+    (folder / "model.max").write_bytes(b"3D Studio")
+    return "model.max"
 
 
 def a_folder(folder: Path) -> str:
@@ -62,7 +62,7 @@ def a_folder(folder: Path) -> str:
 BAD_ASSETS = {
     "missing": (lambda folder: "none.obj", "none.obj' does not exist"),
     "unreadable": (a_folder, "folder.obj' is no file"),
-    "unknown format": (unknown_format, "unknown format '.fbx'"),
+    "unknown format": (unknown_format, "unknown format '.max'"),
     "an address": (lambda folder: "https://host.example/a.glb", "'https://host.example/a.glb' is an address"),
     "truncated": (truncated, "cut.glb"),
     "not a GLB": (lambda folder: (folder / "text.glb").write_text("hello") and "text.glb", "text.glb"),

@@ -19,9 +19,9 @@ def test_paths_that_are_no_model(tmp_path):
         load_asset(tmp_path / "gone.obj", purpose="reference")
     with pytest.raises(AssetError, match="the asset '.*' is no file"):
         load_asset(tmp_path)
-    (tmp_path / "a.fbx").write_bytes(b"x")
-    with pytest.raises(AssetError, match="unknown format '.fbx'; known are OBJ, PLY, STL, GLB, GLTF, USD"):
-        load_asset(tmp_path / "a.fbx")
+    (tmp_path / "a.max").write_bytes(b"x")
+    with pytest.raises(AssetError, match="unknown format '.max'; known are OBJ, PLY, STL, GLB, GLTF, USD"):
+        load_asset(tmp_path / "a.max")
     (tmp_path / "a.obj").write_bytes(b"")
     with pytest.raises(AssetError, match="a.obj' is empty"):
         load_asset(tmp_path / "a.obj")

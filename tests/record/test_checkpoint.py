@@ -388,7 +388,7 @@ def test_an_interrupted_run_goes_on_and_then_there_is_nothing_left_to_resume(sto
     with open(folder / "out" / "log.jsonl", "a") as log:  # steps since the checkpoint, and a line torn in two
         log.write('{"stage": "fit", "step": 21}\n{"stage": "fit", "st')
 
-    def interrupted(reference, candidates, judging, progress):
+    def interrupted(reference, candidates, judging, progress, kept=None):
         signal.raise_signal(signal.SIGINT)
         progress(Progress("evaluate", 1, 6))
 
