@@ -221,7 +221,7 @@ def fitted(shape, is_metal: bool, sky: np.ndarray, roughness: float, case: str, 
     views = around(options.views, options.side)
     settings = [
         "latent.ambient.kind=environment", f"latent.ambient.rows={options.rows}", "loss.image=l2",
-        "evaluation.views=4", "latent.min_roughness=0.03", "optimizer.shade=pixel", *options.overrides,
+        "evaluation.views=4", "latent.min_roughness=0.03", "optimizer.shade=sample", *options.overrides,
     ]  # fmt: skip
     opt = ms.Optimization(
         file, targets=target(true, sky, options.transport, options.spp), views=views, steps=options.steps,
