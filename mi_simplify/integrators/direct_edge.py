@@ -96,11 +96,12 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
         self._last: tuple[mi.Sensor, mi.TensorXf] | None = None  # tells edge samples where something is to be seen
         self._warned = False
 
-    def sample(self, mode, scene, sampler, ray, active=True, at_edge=None, **_):
+    def sample(self, mode, scene, sampler, ray, active=True, at_edge=None, beside=None, **_):
         """
         Radiance along camera rays, whether anything was hit, and (as the only AOV) coverage.
 
-        With ``at_edge``, a function of hits, the last result says whether it is true of any layer.
+        With ``at_edge``, a function of hits, the last result says whether it is true of any layer; where it is, light
+        is looked for from ``beside`` the hit, a vector to there.
         """
         ctx = mi.BSDFContext()
         radiance, through = mi.Spectrum(0), mi.Spectrum(1)
@@ -116,11 +117,16 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
                 radiance += dr.select(alive, through * si.emitter(scene).eval(si, alive), 0)
             alive &= si.is_valid()
             valid |= alive
+            lit_at = si
             if at_edge is not None:
-                meets_edge |= alive & at_edge(si)
+                meets = alive & at_edge(si)
+                meets_edge |= meets
+                if beside is not None:
+                    lit_at = mi.SurfaceInteraction3f(si)
+                    lit_at.p += dr.select(meets, beside, 0)
             bsdf = si.bsdf(ray)
             lit = alive & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            towards, weight, lit = self._light(scene, sampler, si, lit)
+            towards, weight, lit = self._light(scene, sampler, lit_at, lit)
             value = bsdf.eval(ctx, si, si.to_local(towards), lit)
             radiance += dr.select(lit, through * value * weight, 0)
             if dr.any(self.ambient != 0):
@@ -251,14 +257,17 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             wavelengths, weight = _wavelengths(sensor, seed, n)
             sides, met = [], []
             step = dr.select(c.outline, c.step * (_LAYER_WIDTH if self.layers > 1 else 1), c.step)
-            for s in (-step, step):
+            for sign in (-1, 1):
+                s, beside = sign * step, None if c.aside is None else c.passing + sign * c.aside
                 sampler = mi.load_dict({"type": "independent"})
                 sampler.seed(seed, n)  # the same light samples on both sides
                 origin, direction = projections.ray(c.view, c.x + s * c.nx, c.y + s * c.ny)
                 ray = mi.RayDifferential3f(origin, direction)
                 ray.wavelengths = wavelengths
                 at_edge = lambda si: edges.at_crossing(si, c, depth)  # noqa: E731
-                radiance, _, (coverage,), meets = self.sample(dr.ADMode.Primal, scene, sampler, ray, at_edge=at_edge)
+                radiance, _, (coverage,), meets = self.sample(
+                    dr.ADMode.Primal, scene, sampler, ray, at_edge=at_edge, beside=beside
+                )
                 sides.append([*(radiance * weight), coverage])
                 met.append(meets)
             # The film's weights count camera samples, spp of them a pixel.

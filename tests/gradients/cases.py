@@ -13,7 +13,7 @@ import numpy as np
 from . import scenes
 from .batched import Batched
 from .finite_difference import Pair, Renderer, compare, mean_over_interval
-from .mitsuba_cases import CASES, UNSETTLED
+from .mitsuba_cases import CASES
 from .plugin import Plugin, direct_projective
 from .scenes import Scene, film_weights, parameters
 
@@ -165,7 +165,7 @@ def _variations() -> list[Case]:
 
 
 def _mitsuba() -> list[MitsubaCase]:
-    return [MitsubaCase(name) for name in CASES if name not in UNSETTLED]
+    return [MitsubaCase(name) for name in CASES]
 
 
 def _close_up() -> list[Case]:
@@ -176,7 +176,7 @@ def _close_up() -> list[Case]:
     ]
 
 
-def _outside() -> list[Case | MitsubaCase]:
+def _outside() -> list[Case]:
     geometry = ("translation x", "translation y", "rotation", "scale", "camera position")
 
     def case(title: str, scene: str, **options) -> Case:
@@ -185,7 +185,6 @@ def _outside() -> list[Case | MitsubaCase]:
     return [
         case("objects that cut through each other", "objects that cut through each other"),
         case("two smooth objects, moving shadows", "two objects", headlight=False, shadows=True),
-        *map(MitsubaCase, UNSETTLED),
     ]
 
 

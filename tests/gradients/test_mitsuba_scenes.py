@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from mi_simplify.integrators.visibility.projections import sensor_projections
+from mi_simplify.machine.meshes import make_mesh
 
 from .finite_difference import compare
 from .mitsuba_cases import CASES
@@ -89,3 +90,40 @@ def test_crop_window_leaves_out_what_is_outside():
     scene = MitsubaScene({"type": "diffuse"}, sensor=camera(rfilter="gaussian", film=film))
     gradient = scene.gradient(scene.weights(), 16, 1)["ball"]
     assert (scene.image(scene.start, 4, 1)[..., :3] == 0).all() and (gradient == 0).all()
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_shadow_that_hardly_peeks_out(sign):
+    """Where the border of a shadow runs along the silhouette of what casts it, a 250th of a pixel beside it."""
+    width, height, seen = 32, 24, 2.6
+    plate = make_mesh(
+        "plate",
+        np.float32([[-0.5, -0.4, 0], [0.5, -0.4, 0], [0.5, 0.4, 0], [-0.5, 0.4, 0]]),
+        np.uint32([[0, 1, 2], [0, 2, 3]]),
+        bsdf=mi.load_dict({"type": "twosided", "both": {"type": "diffuse", "reflectance": 0.2}}),
+    )
+    place = mi.ScalarTransform4f
+    scene = mi.load_dict({
+        "type": "scene",
+        "integrator": {"type": "direct_edge", "shadows": True},
+        "sensor": camera("orthographic", film={"width": width, "height": height})
+        | {"to_world": place().look_at([0, 0, -3], [0, 0, 0], [0, 1, 0]) @ place().scale([seen / 2, seen / 2, 1])},
+        "plate": plate,
+        "wall": {
+            "type": "cube", "to_world": place().translate([0, 0, 2]).scale([4, 4, 1]),
+            "bsdf": {"type": "diffuse", "reflectance": 0.8},
+        },
+        "sun": {"type": "directional", "direction": [sign * 0.004 * seen / width, 0, 1], "irradiance": 2.0},
+    }, optimize=False)  # fmt: skip
+    params = mi.traverse(scene)
+    shift = mi.Float(0)
+    dr.enable_grad(shift)
+    start = mi.Point3f(dr.unravel(mi.Point3f, params["plate.vertex_positions"]))
+    params["plate.vertex_positions"] = dr.ravel(start + mi.Vector3f(shift, 0, 0))
+    params.update()
+    image = mi.render(scene, params, spp=1024, seed=1)
+    value = image.numpy()[height // 2, :, 0]
+    shown = slice(0, width // 2) if sign > 0 else slice(width // 2, width)  # the camera's x axis points left
+    dr.backward(dr.sum(image[:, shown, 0], axis=None))
+    expected = sign * (value[width // 2] - value[0]) * 0.8 * (width / seen) ** 2
+    assert dr.grad(shift)[0] == pytest.approx(expected, rel=0.002)

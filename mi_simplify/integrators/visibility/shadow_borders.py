@@ -15,9 +15,11 @@ from .crossings import Crossings, Eyes, drawn
 from .film_edges import FilmEdges
 from .projections import Projections
 
-#: Either side of a border is looked at this far off [fraction of the film's larger side]: shadow rays start about a
-#: ten-thousandth of the coordinates off the surface, which shifts the border itself by as much.
-_STEP = 3e-4
+#: How far beside an edge shadow rays pass [fraction of the coordinates]: float32 resolves some ten times less.
+_ASIDE = 1e-5
+
+#: Least cosine between a surface and what is shifted along it: where light grazes nothing jumps by much.
+_GRAZING = 0.02
 
 
 def sharp_lights(scene: mi.Scene) -> Eyes | None:
@@ -117,7 +119,9 @@ def sample_borders(
         valid &= dr.isfinite(length)
         nx, ny = shift.y / dr.maximum(length, 1e-9), -shift.x / dr.maximum(length, 1e-9)
         count = length * scale / dr.maximum(weight, 1e-30) * (projections.n_views * projections.share)
-        step = dr.maximum(_STEP * max(projections.width, projections.height), 4 * projections.step(view, h))
+        passing, aside = _shadow_rays(q, r, eye, n, edge, along)
+        towards_normal = projections.shift(view, r, aside)
+        aside = dr.mulsign(aside, towards_normal.x * nx + towards_normal.y * ny)
     with dr.resume_grad():
         moving = [dr.gather(mi.Point3f, positions, i) for i in (row.x, row.y)]
         a, n, _ = plane(si)
@@ -131,13 +135,37 @@ def sample_borders(
         nx=nx,
         ny=ny,
         weight=dr.select(valid, count, 0),
-        step=step,
+        step=mi.Float(0),
         p=mi.Point3f(r),
         end0=receiver[0],
         end1=receiver[1],
         outline=mi.Bool(False),
         motion=motion,
+        passing=passing,
+        aside=aside,
     )
+
+
+def _shadow_rays(
+    q: mi.Point3f, r: mi.Point3f, eye: mi.Vector4f, n: mi.Vector3f, edge: mi.Vector3f, along: mi.Vector3f
+) -> tuple[mi.Vector3f, mi.Vector3f]:
+    """
+    Where on the receiver's plane, relative to the shadow r of an edge point q, a shadow ray is asked for that passes q,
+    and what to add or subtract for one that passes just beside the edge.
+    """
+    to_light = Eyes.towards(eye, q)
+    distance = dr.norm(to_light)
+    to_light /= dr.maximum(distance, 1e-20)
+    n = dr.normalize(n)
+    n = dr.mulsign(n, dr.dot(n, to_light))
+    # Mitsuba lifts the origins of shadow rays off the surface by this much, along its normal.
+    lift = mi.math.RayEpsilon * (1 + dr.max(dr.abs(r)))
+    passing = lift * (to_light / dr.maximum(dr.dot(n, to_light), _GRAZING) - n)
+    across = dr.normalize(dr.cross(edge, to_light))
+    sideways = dr.normalize(dr.cross(n, along))
+    scale = dr.select(eye.w > 0, dr.norm(Eyes.towards(eye, r)) / dr.maximum(distance, 1e-20), 1)
+    width = _ASIDE * (1 + dr.maximum(dr.max(dr.abs(q)), dr.max(dr.abs(r)))) * scale
+    return passing, sideways * (width / dr.maximum(dr.abs(dr.dot(sideways, across)), _GRAZING))
 
 
 def _shadow_point(q: mi.Point3f, eye: mi.Vector4f, a: mi.Point3f, n: mi.Vector3f):
