@@ -258,7 +258,7 @@ class DirectEdge(mi.ad.integrators.common.ADIntegrator):
             sides, met = [], []
             step = dr.select(c.outline, c.step * (_LAYER_WIDTH if self.layers > 1 else 1), c.step)
             for sign in (-1, 1):
-                s, beside = sign * step, None if c.aside is None else c.passing + sign * c.aside
+                s, beside = sign * step, None if c.aside is None else sign * c.aside
                 sampler = mi.load_dict({"type": "independent"})
                 sampler.seed(seed, n)  # the same light samples on both sides
                 origin, direction = projections.ray(c.view, c.x + s * c.nx, c.y + s * c.ny)

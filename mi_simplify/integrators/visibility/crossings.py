@@ -21,9 +21,9 @@ class Crossings:
     a surface from lines inside it, ``motion`` is where the curve lies along its normal [pixels]: only its derivative
     matters. What lies on the low side gains area where it grows.
 
-    Borders of shadows are not looked at from beside: the camera ray meets the border itself, and its shadow ray starts
-    at ``passing`` from there [scene units], which is where it passes the edge, less or plus ``aside``. A step on the
-    film that is wide enough for shadow rays would lose all borders that nearly coincide with a silhouette.
+    Borders of shadows are not looked at from beside: the camera ray meets the border itself, and shadow rays start at
+    ``aside`` to either side of there [scene units]. A step on the film that is wide enough for shadow rays would lose
+    all borders that nearly coincide with a silhouette.
     """
 
     view: mi.UInt32
@@ -38,7 +38,6 @@ class Crossings:
     end1: mi.UInt32
     outline: mi.Bool
     motion: mi.Float
-    passing: mi.Vector3f | None = None
     aside: mi.Vector3f | None = None
 
     def shows(self, low: mi.Bool, high: mi.Bool) -> mi.Bool:

@@ -105,8 +105,10 @@ def sample_borders(
         si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.Minimal, coherent=False, active=weight > 0)
         hit = si.is_valid()
         a, n, receiver = plane(si)
-        a, n = dr.detach(a), dr.detach(n)
-        r, slide = _shadow_point(q, eye, a, n)
+        a, n = dr.detach(a), dr.select(hit, dr.detach(n), mi.Vector3f(0, 0, 1))
+        # Mitsuba lifts the origins of shadow rays off the surface by this much, along its normal.
+        lift = mi.math.RayEpsilon * (1 + dr.max(dr.abs(dr.detach(si.p))))
+        r, slide = _shadow_point(q, eye, a, n, lift)
         edge = mi.Vector3f(ends[1] - ends[0])
         # How r runs along the border: the edge's own direction, slid along the light into the plane.
         along = slide(edge)
@@ -119,13 +121,14 @@ def sample_borders(
         valid &= dr.isfinite(length)
         nx, ny = shift.y / dr.maximum(length, 1e-9), -shift.x / dr.maximum(length, 1e-9)
         count = length * scale / dr.maximum(weight, 1e-30) * (projections.n_views * projections.share)
-        passing, aside = _shadow_rays(q, r, eye, n, edge, along)
-        towards_normal = projections.shift(view, r, aside)
-        aside = dr.mulsign(aside, towards_normal.x * nx + towards_normal.y * ny)
+        aside = _beside(q, r, eye, n, edge, along)
+        across = projections.shift(view, r, aside)
+        aside = dr.mulsign(aside, across.x * nx + across.y * ny)
     with dr.resume_grad():
         moving = [dr.gather(mi.Point3f, positions, i) for i in (row.x, row.y)]
         a, n, _ = plane(si)
-        moved, _ = _shadow_point(dr.lerp(*moving, s), lights.fetch(light), a, n)
+        n = dr.select(hit, n, mi.Vector3f(0, 0, 1))
+        moved, _ = _shadow_point(dr.lerp(*moving, s), lights.fetch(light), a, n, lift)
         moved_film = projections.project(view, moved)
         motion = dr.select(valid, moved_film.x * nx + moved_film.y * ny, 0)
     return Crossings(
@@ -141,42 +144,40 @@ def sample_borders(
         end1=receiver[1],
         outline=mi.Bool(False),
         motion=motion,
-        passing=passing,
         aside=aside,
     )
 
 
-def _shadow_rays(
+def _beside(
     q: mi.Point3f, r: mi.Point3f, eye: mi.Vector4f, n: mi.Vector3f, edge: mi.Vector3f, along: mi.Vector3f
-) -> tuple[mi.Vector3f, mi.Vector3f]:
+) -> mi.Vector3f:
     """
-    Where on the receiver's plane, relative to the shadow r of an edge point q, a shadow ray is asked for that passes q,
-    and what to add or subtract for one that passes just beside the edge.
+    What to add to, or subtract from, the shadow r of an edge point q on the receiver's plane, so that a shadow ray
+    passes just beside the edge.
     """
-    to_light = Eyes.towards(eye, q)
-    distance = dr.norm(to_light)
-    to_light /= dr.maximum(distance, 1e-20)
-    n = dr.normalize(n)
-    n = dr.mulsign(n, dr.dot(n, to_light))
-    # Mitsuba lifts the origins of shadow rays off the surface by this much, along its normal.
-    lift = mi.math.RayEpsilon * (1 + dr.max(dr.abs(r)))
-    passing = lift * (to_light / dr.maximum(dr.dot(n, to_light), _GRAZING) - n)
+    to_light = dr.normalize(Eyes.towards(eye, q))
     across = dr.normalize(dr.cross(edge, to_light))
     sideways = dr.normalize(dr.cross(n, along))
-    scale = dr.select(eye.w > 0, dr.norm(Eyes.towards(eye, r)) / dr.maximum(distance, 1e-20), 1)
+    near, far = (dr.norm(Eyes.towards(eye, p)) for p in (q, r))
+    scale = dr.select(eye.w > 0, far / dr.maximum(near, 1e-20), 1)
     width = _ASIDE * (1 + dr.maximum(dr.max(dr.abs(q)), dr.max(dr.abs(r)))) * scale
-    return passing, sideways * (width / dr.maximum(dr.abs(dr.dot(sideways, across)), _GRAZING))
+    return sideways * (width / dr.maximum(dr.abs(dr.dot(sideways, across)), _GRAZING))
 
 
-def _shadow_point(q: mi.Point3f, eye: mi.Vector4f, a: mi.Point3f, n: mi.Vector3f):
+def _shadow_point(q: mi.Point3f, eye: mi.Vector4f, a: mi.Point3f, n: mi.Vector3f, lift: mi.Float):
     """
-    Where a point's shadow falls on the plane through a, and how it moves where the point does, in first order.
+    Where a point's shadow is rendered on the plane through a, and how it moves where the point does, in first order.
+
+    Shadow rays start at ``lift`` above the plane. Where light grazes this moves borders by a multiple, and a shadow
+    that is lower than it is not rendered at all.
     """
     d = -Eyes.towards(eye, q)  # along the light: q - l, or a constant
+    n = dr.normalize(n)
     across = dr.dot(n, d)
     across = dr.select(dr.abs(across) > 1e-20, across, 1e-20)
-    t = dr.dot(n, mi.Vector3f(a - q)) / across
-    r = mi.Point3f(dr.fma(d, t, mi.Vector3f(q)))
+    raised = -dr.mulsign(n, dr.detach(across)) * lift
+    t = (dr.dot(n, mi.Vector3f(a - q)) + dr.dot(n, raised)) / across
+    r = mi.Point3f(dr.fma(d, t, mi.Vector3f(q)) - raised)
 
     def slide(v: mi.Vector3f) -> mi.Vector3f:
         # r = q + t d with d = q - l: dr = (1 + t w) dq + d dt, and n·dr = 0.
