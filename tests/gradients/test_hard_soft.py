@@ -32,7 +32,7 @@ def square(h: float = 0.5) -> Batched:
     return renderer
 
 
-def check(name: str, *wanted: str) -> None:
+def check(name: str, *wanted: str, within: float = 0.01) -> None:
     """
     The derivative of the same samples as a small difference has, wherever this image does not jump either: a few
     pixels do, where folds and outlines meet within the radius.
@@ -52,27 +52,23 @@ def check(name: str, *wanted: str) -> None:
         difference = np.sum((high.astype(np.float64) - low) / (2 * eps) * weights)
         pairs.append((p.name, difference, along(renderer.gradient(weights, 8, 1), p.direction)))
     least = 0.1 * np.sqrt(np.mean([difference**2 for _, difference, _ in pairs]))
-    assert not [pair for pair in pairs if abs(pair[2] - pair[1]) > 0.01 * max(abs(pair[1]), least)]
+    assert not [pair for pair in pairs if abs(pair[2] - pair[1]) > within * max(abs(pair[1]), least)]
 
 
 def test_the_gradient_is_that_of_the_image():
     check("three faces an edge", "rotation", "scale", "along normals", "one vertex", "camera position")
 
 
-#: Scenes in which outlines come so close to each other that the soft image jumps, and how far gradients are off.
-_JUMPS = {"smooth, seams": "1 to 2.6 %", "thin tube": "2 to 7 %"}
-
-
-def _expected(name: str):
-    if name not in _JUMPS:
-        return name
-    return pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=f"off by {_JUMPS[name]}: see hard_soft.py"))
+#: Scenes in which outlines come so close to each other that the soft image jumps, which its gradient does not see
+#: (hard_soft.py): how far it may be off there.
+_JUMPS = {"smooth, seams": 0.03, "thin tube": 0.08}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [_expected(name) for name in scenes.NAMES])
+@pytest.mark.parametrize("name", scenes.NAMES)
 def test_the_gradient_in_other_scenes(name):
-    check(name, "translation x", "translation y", "rotation", "scale", "along normals", "camera position")
+    wanted = ("translation x", "translation y", "rotation", "scale", "along normals", "camera position")
+    check(name, *wanted, within=_JUMPS.get(name, 0.01))
 
 
 @pytest.mark.slow
